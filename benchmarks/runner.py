@@ -32,6 +32,7 @@ NAMES = [
     "deflation",
     "friction",
     "general",
+    "graded",
     "joint",
     "ladder",
     "materials",

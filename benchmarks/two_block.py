@@ -141,7 +141,7 @@ def run(
                 "unknowns": report.unknowns["primal"],
                 "subdomains": report.subdomains,
                 "products": report.products["total"],
-                "vectors": report.deflation["vectors"],
+                "chosen": report.preconditioner_reason,
                 "seconds": time.process_time() - start,
                 "force": report.contacts[0].normal_force,
                 "certificate": report.certificate.worst,

@@ -15,8 +15,7 @@ $$p(x) = \frac{F'}{\pi \sqrt{a^2 - x^2}}.$$
 This demo illustrates how to
 
 - define an obstacle by a function of your own, which returns the gap and the normal at each point;
-- prescribe an approach: a negative gap is an obstacle that has moved into the body;
-- choose the lumped preconditioner for a mesh with very different element sizes.
+- prescribe an approach: a negative gap is an obstacle that has moved into the body.
 
 Run it by `python demos/flat_punch.py`, or on several processes by
 `mpirun -n 2 python demos/flat_punch.py`; it draws pictures into `results/`. The meshes come
@@ -74,8 +73,7 @@ def solve(path, gdim):
         return gap, normal
 
     contact = RigidObstacle(facet_tags, slave=tags["top"], obstacle=punch)
-    options = {"rtol": 1e-6, "preconditioner": "lumped"}
-    problem = ContactProblem(a_form, 0, bcs=bcs, contacts=[contact], options=options)
+    problem = ContactProblem(a_form, 0, bcs=bcs, contacts=[contact])
     return problem, problem.solve()
 
 

@@ -19,13 +19,17 @@ release = tomllib.loads((here.parent / "pyproject.toml").read_text())["project"]
 version = release
 extensions = [
     "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
     "numpydoc",
     "myst_parser",
     "sphinx_design",
     "sphinx_copybutton",
     "gallery",
+    "reference",
 ]
+# the pages are those of `reference`
+autosummary_generate = False
 copybutton_prompt_text = r">>> |\.\.\. |\$ "
 copybutton_prompt_is_regexp = True
 html_theme = "furo"

@@ -34,6 +34,9 @@ class Step:
     origin: SlipOrigin  # from where friction counts slip
     number: int = 0  # of accepted steps
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
+    # the load of the last of adaptive steps and the length of the next one, NaN without
+    load: float = np.nan
+    length: float = np.nan
     # places of rigid bodies with finite strains, see `RigidBodies.saved`; the same on all ranks
     bodies: Vector = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -74,6 +77,7 @@ def write_step(
             arrays |= {
                 "contacts": np.array(contacts, dtype=np.str_),
                 "number": np.array(step.number),
+                "load": np.array([step.load, step.length]),
                 "passes": passes.reshape(-1, len(fields(GeometryPass))),
                 "bodies": step.bodies,
             }
@@ -145,7 +149,8 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         SlipOrigin(nodal("slip_origin").ravel(), obstacles),
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
-        file.read("bodies", "numbers", (None, None)),
+        *file.read("load", "numbers", (2,)).tolist(),
+        bodies=file.read("bodies", "numbers", (None, None)),
     )
 
 

@@ -23,7 +23,15 @@ class InputError(ContactError, ValueError):
 
 
 class UnresistedMotion(InputError):
-    """The load pushes a body where no support, no glue and no contact holds it, (11.16)."""
+    """The load pushes a body where no support, no glue and no contact holds it, (11.16).
+
+    Examples
+    --------
+    >>> try:  # doctest: +SKIP
+    ...     problem.solve()
+    ... except UnresistedMotion as error:
+    ...     print(error)  # the bodies, and how they move
+    """
 
 
 class FactorizationError(ContactError, RuntimeError):
@@ -43,6 +51,13 @@ class NotConverged(ContactError, RuntimeError):
         The iterate with the smallest certificate, as the solver returns it on convergence.
     report : object
         The report of the solve, with ``converged`` False and the ``reason``.
+
+    Examples
+    --------
+    >>> try:  # doctest: +SKIP
+    ...     problem.solve()
+    ... except NotConverged as error:
+    ...     print(error.report, error.solution)  # the last iterate
     """
 
     def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, Protocol
 
+from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 
@@ -16,6 +18,7 @@ class SteppedProblem(Protocol):
     """A problem that is solved in load steps."""
 
     u: Any
+    _step: Step
 
     def solve(self) -> Any:
         """Solve at the present loads."""
@@ -31,8 +34,12 @@ def load_steps(
     end: float,
     first: float | None,
     is_easy: Callable[[], bool],
+    is_restored: bool = False,
 ) -> Iterator[float]:
-    """Solve and accept load steps from `begin` to `end`, see `NonlinearContactProblem.steps`."""
+    """Solve and accept load steps from `begin` to `end`, see `NonlinearContactProblem.steps`.
+
+    A restored problem goes on after the load of its checkpoint.
+    """
     length = end - begin if first is None else first
     if not (begin < end and length > 0.0):
         raise InputError(
@@ -40,6 +47,9 @@ def load_steps(
             "after the beginning, and the first step longer than 0"
         )
     t, easy = begin, 0
+    if is_restored and problem._step.load > begin:
+        t, length = problem._step.load, problem._step.length
+        set_load(min(t, end))
     while t < end:
         rest = end - t
         is_last = rest - length < _SHORTEST * (end - begin)
@@ -65,6 +75,7 @@ def load_steps(
         t = target
         if easy == 2:
             length, easy = 2.0 * length, 0
+        problem._step = replace(problem._step, load=t, length=length)
         yield t
 
 

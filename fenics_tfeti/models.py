@@ -15,7 +15,9 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.arguments import as_contacts
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
@@ -24,7 +26,12 @@ from fenics_tfeti.typing import Mask, Numbers
 
 
 def small_strain(u: Any) -> Any:
-    """Return the symmetric gradient of a displacement."""
+    """Return the symmetric gradient of a displacement.
+
+    Examples
+    --------
+    >>> a = ufl.inner(sigma(u), small_strain(v)) * ufl.dx  # doctest: +SKIP
+    """
     return ufl.sym(ufl.grad(u))
 
 
@@ -32,6 +39,12 @@ def axisymmetric_strain(u: Any) -> Any:
     """Return the strain, 3 x 3, of a displacement (u_r, u_z) that does not change around the axis.
 
     The coordinates of the mesh are (r, z), the third direction is that of the circumference.
+
+    Examples
+    --------
+    >>> sigma = isotropic(2.1e11, 0.3, axisymmetric_strain)  # doctest: +SKIP
+    >>> r = ufl.SpatialCoordinate(mesh)[0]  # doctest: +SKIP
+    >>> a = ufl.inner(sigma(u), axisymmetric_strain(v)) * 2 * ufl.pi * r * ufl.dx  # doctest: +SKIP
     """
     r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
     e = ufl.sym(ufl.grad(u))
@@ -61,6 +74,11 @@ def isotropic(E: Any, nu: Any, strain: Callable[[Any], Any] = small_strain) -> C
     -------
     callable
         Of a displacement, the stress tensor [Pa] of the shape of the strain.
+
+    Examples
+    --------
+    >>> sigma = isotropic(2.1e11, 0.3)
+    >>> a = ufl.inner(sigma(u), ufl.grad(v)) * ufl.dx  # doctest: +SKIP
     """
     mu, lmbda = _lame(E, nu)
 
@@ -89,6 +107,11 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
     callable
         Of a displacement, the energy per undeformed volume [J/m^3]; in two dimensions that of plane
         strain.
+
+    Examples
+    --------
+    >>> energy = neo_hookean(1e6, 0.45)
+    >>> F = ufl.derivative(energy(u) * ufl.dx, u, v)  # doctest: +SKIP
     """
     mu, lmbda = _lame(E, nu)
 
@@ -119,6 +142,10 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     -------
     dolfinx.fem.DirichletBC
         Zero displacement along the axis.
+
+    Examples
+    --------
+    >>> bcs = [symmetry_plane(V, facet_tags, tag=3, axis=0)]  # doctest: +SKIP
     """
     facet = V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(facet, facet + 1)
@@ -127,7 +154,10 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
 
 
 def redistributed_density(
-    mesh: Mesh, rho: Any, contacts: Sequence[Contact], measure_weight: Any = 1.0
+    mesh: Mesh,
+    rho: Any,
+    contacts: Sequence[Contact | Tie] | Contact,
+    measure_weight: Any = 1.0,
 ) -> fem.Function:
     """Return the density of bodies that have no mass at the nodes of contact surfaces. Collective.
 
@@ -142,8 +172,8 @@ def redistributed_density(
         The mesh of the displacement.
     rho : float or UFL expression
         The density [kg/m^3].
-    contacts : sequence of ContactPair or RigidObstacle
-        Those of the problem.
+    contacts : sequence of ContactPair, RigidObstacle or ties, or one of them
+        Those of the problem; tied surfaces keep their mass.
     measure_weight : float or UFL expression
         Factor of ``dx`` in the forms, such as ``2 * pi * r`` in axisymmetric ones.
 
@@ -173,7 +203,8 @@ def redistributed_density(
     with _compat.quiet_compiler():
         forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (_compat.assemble_load(form)[dofs] for form in forms)
-    first, second = _layers_at(mesh, contacts)
+    touching = [contact for contact in as_contacts(contacts, None) if isinstance(contact, Contact)]
+    first, second = _layers_at(mesh, touching)
     moved, taking = (
         mesh.comm.allreduce(np.bincount(bodies.of_cell, mass * layer, len(bodies.names)), MPI.SUM)
         for layer in (first, second)
@@ -196,14 +227,11 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
     space = _compat.lagrange_space(mesh, 1)
     nodes, facet = NodeMap(space), mesh.topology.dim - 1
     mesh.topology.create_connectivity(facet, facet + 1)
+    surfaces = [(contact.facet_tags, contact.slave) for contact in contacts]
+    pairs = [contact for contact in contacts if isinstance(contact, ContactPair)]
+    surfaces += [(pair.facet_tags, pair.master) for pair in pairs]
     at_contact = [
-        fem.locate_dofs_topological(space, facet, contact.facet_tags.find(tag))
-        for contact in contacts
-        for tag in (
-            (contact.slave, contact.master)
-            if isinstance(contact, ContactPair)
-            else (contact.slave,)
-        )
+        fem.locate_dofs_topological(space, facet, tags.find(tag)) for tags, tag in surfaces
     ]
     corners = nodes.to_global(_compat.cell_dofs(space)[: owned_cells(mesh)])
     first = _touching(nodes, nodes.to_global(np.concatenate([*at_contact, []])), corners)

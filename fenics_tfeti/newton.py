@@ -30,6 +30,7 @@ from fenics_tfeti.feti import (
     TornSystem,
     prepare_tangents,
 )
+from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import print_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
@@ -238,7 +239,7 @@ class NewtonIteration:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(load_step.u, state.rows)
+        system = load_step.torn.system_at(load_step.u, state.rows, has_small_strains)
         solution: TornSolution | None = None
         with suppress(UnstableTangent):
             solution = self._solve(prepare_tangents(system, options.tangent), monitor)

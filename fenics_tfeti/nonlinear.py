@@ -133,7 +133,9 @@ class NonlinearContactProblem:
                 contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=True)
         self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
-        data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
+        data = ProblemData(
+            self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler, u
+        )
         self._torn = TornProblem(
             self.space,
             J,
@@ -228,6 +230,10 @@ class NonlinearContactProblem:
         ``newton_max_it`` steps of Newton's method, the next ones are twice as long. Where a step of
         a thousandth of all fails, loads and `u` are left at the last accepted step.
 
+        After `restore` of a checkpoint that was saved between such steps they go on from its load,
+        with steps as long as they would have been; nothing is solved, but `set_load` called, where
+        that is at or behind `end`.
+
         Parameters
         ----------
         set_load : callable
@@ -254,11 +260,24 @@ class NonlinearContactProblem:
         ...     traction.value = (0.0, -1e5 * t)
         >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
         ...     print(t, problem.results["seal"].force)
+        ...     problem.save(file)
         """
         limit = 0.5 * self.options.newton_max_it
         return load_steps(
-            self, set_load, begin, end, first, lambda: len(self.report.newton) <= limit
+            self,
+            set_load,
+            begin,
+            end,
+            first,
+            lambda: len(self.report.newton) <= limit,
+            self._solved is None,
         )
+
+    def reset_slip(self) -> None:
+        """Count slip from the present `u` in the next solve, as in the first one."""
+        displacement = owned_values(self.u)
+        obstacles = np.zeros((len(self._torn.data.touching), displacement.size))
+        self._step = replace(self._step, origin=SlipOrigin(displacement, obstacles))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore`, see `ContactProblem.save`. Collective."""
@@ -321,14 +340,13 @@ class NonlinearContactProblem:
         """Take the present supports and contacts."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
-        origin = self._step.origin
         if self._torn.torn.has_moved():
-            origin = SlipOrigin(owned_values(self.u), np.zeros_like(origin.obstacles))
+            self.reset_slip()
         elif _are_same(self.contacts, self._torn.data.contacts):
             self._torn.update_supports(self.bcs)
             return
         self._torn.update(self.bcs, self.contacts)
-        origin = origin.resized(len(self._torn.data.touching))
+        origin = self._step.origin.resized(len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
 
     def _store(self, state: NewtonState, iteration: NewtonIteration, bodies: RigidBodies) -> None:

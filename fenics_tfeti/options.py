@@ -38,6 +38,10 @@ class ContactOptions:
         numbers.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
+
+    Examples
+    --------
+    >>> ContactProblem(a, L, options={"rtol": 1e-8, "subdomain_size": 5000})  # doctest: +SKIP
     """
 
     solver: Options = field(default_factory=Options)
@@ -76,6 +80,10 @@ class NewtonOptions(ContactOptions):
         Tangents of subdomains: exact ones, which may be indefinite, or projected on those with all
         rigid motions as kernel, which are positive semidefinite; auto takes exact ones in bodies
         that supports hold without contact.
+
+    Examples
+    --------
+    >>> NonlinearContactProblem(F, u, options={"newton_rtol": 1e-8})  # doctest: +SKIP
     """
 
     newton_rtol: float = 1e-6

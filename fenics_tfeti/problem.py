@@ -292,7 +292,7 @@ class ContactProblem:
 
         As `NonlinearContactProblem.steps`; a step is easy if it did not fail.
         """
-        return load_steps(self, set_load, begin, end, first, lambda: True)
+        return load_steps(self, set_load, begin, end, first, lambda: True, self._solver is None)
 
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""

@@ -36,6 +36,12 @@ class ContactReport(Report):
         Forces, moments, the work of friction and the pairing of each contact and tied pair.
     rigid_bodies : list of RigidBodyResult
         Motion of each rigid body, and the forces on it.
+
+    Examples
+    --------
+    >>> print(problem.report)  # doctest: +SKIP
+    >>> problem.report.contacts[0].normal_force, problem.report.products["total"]  # doctest: +SKIP
+    >>> problem.report.to_html("report.html", uh)  # doctest: +SKIP
     """
 
     contacts: Sequence[ContactEntry]

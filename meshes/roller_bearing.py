@@ -13,7 +13,8 @@ cage is a ring between the rows, with a prong between any two rollers.
 Every body is a plane mesh of quadrilaterals, finest at the lines of contact, that is swept along
 the rollers. Meshes of rings and rollers do not match. The surfaces of row 1 are "rollers 1 outer",
 "rollers 1 inner", "rollers 1 side", "outer raceway 1", "inner raceway 1" and "pockets 1" of the
-cage. "outside" is that of the outer ring, "bore" that of the inner one.
+cage. "outside" is that of the outer ring, "bore" that of the inner one. One sector, with one roller
+of each row, has the borders "first border" and, turned about z, "second border".
 """
 
 from __future__ import annotations
@@ -374,6 +375,10 @@ def ring(bearing: Bearing, side: int) -> Solid:
         f"{name} raceway": walls(edges[near], n, touched),
         far: walls(edges[y > thickness - 1e-9], n, range(along.size - 1)),
     }
+    end = np.pi / bearing.rollers - 1e-9
+    for border, sign in (("first border", -1), ("second border", 1)):
+        there = (sign * sheet[edges][:, :, 0]).min(axis=1) > end
+        facets[border] = walls(edges[there], n, range(along.size - 1))
     return Solid(points, swept(quads, n, range(along.size - 1)), facets)
 
 
@@ -422,13 +427,16 @@ def turned(solid: Solid, angle: float) -> Solid:
     return replace(solid, points=points)
 
 
+UNNUMBERED = ("outside", "bore", "first border", "second border")
+
+
 def in_row(solid: Solid, row: int) -> Solid:
     """Put a solid into its row, and add the row's number to the names of its surfaces."""
     points, cells = solid.points, solid.cells
     if row == 1:
         points, cells = points * [1, 1, -1], cells[:, [4, 5, 6, 7, 0, 1, 2, 3]]
     facets = {
-        name if name in ("outside", "bore") else numbered(name, row + 1): rows
+        name if name in UNNUMBERED else numbered(name, row + 1): rows
         for name, rows in solid.facets.items()
     }
     return Solid(points, cells, facets)
@@ -463,8 +471,8 @@ def joined(solids: Sequence[Solid]) -> Solid:
     )
 
 
-def solids_of(bearing: Bearing) -> dict[str, Solid]:
-    """Mesh all bodies, by name."""
+def solids_of(bearing: Bearing, sector: bool = False) -> dict[str, Solid]:
+    """Mesh all bodies, or their parts in the first sector, by name."""
     gmsh.initialize()
     try:
         gmsh.option.setNumber("General.Terminal", 0)
@@ -479,7 +487,11 @@ def solids_of(bearing: Bearing) -> dict[str, Solid]:
         gmsh.finalize()
     if bearing.cage:
         sectors["cage"] = cage(bearing)
-    places = [(row, k) for row in range(bearing.rows) for k in range(bearing.rollers)]
+    number_of_sectors = 1 if sector else bearing.rollers
+    places = [(row, k) for row in range(bearing.rows) for k in range(number_of_sectors)]
+    if not sector:
+        for solid in sectors.values():
+            solid.facets = {n: f for n, f in solid.facets.items() if "border" not in n}
     bodies = {
         name: joined([in_row(turned(s, bearing.azimuth(k)), row) for row, k in places])
         for name, s in sectors.items()
@@ -580,9 +592,9 @@ def small_bearing() -> Bearing:
     return Bearing(rollers=8, cage=False, elements=2, growth=1.0, coarsest=0.025, layers=6)
 
 
-def roller_bearing(output: Path, bearing: Bearing) -> None:
-    """Mesh the bearing and write the file."""
-    write(solids_of(bearing), output)
+def roller_bearing(output: Path, bearing: Bearing, sector: bool = False) -> None:
+    """Mesh the bearing, or one sector of it, and write the file."""
+    write(solids_of(bearing, sector), output)
 
 
 if __name__ == "__main__":

@@ -53,3 +53,14 @@ def test_metadata(dists):
     assert dists[1].name == f"fenics_tfeti-{version}.tar.gz"
     needed = re.findall(r"^Requires-Dist: dolfinx-solver-real.*$", metadata, re.MULTILINE)
     assert len(needed) == 1 and "3.12" in needed[0] and "extra == " in needed[0]
+
+
+def test_conda_recipe():
+    """It has the version of the package, and what conda's packages of FEniCSx do not bring."""
+    recipe = (ROOT / "recipe" / "recipe.yaml").read_text()
+    project = (ROOT / "pyproject.toml").read_text()
+    (version,) = re.findall(r'^version = "(.+)"$', project, re.MULTILINE)
+    assert f"\n  version: {version}\n" in recipe
+    (dependencies,) = re.findall(r"^dependencies = \[(.+)\]$", project, re.MULTILINE)
+    for name in re.findall(r'"([\w-]+)', dependencies):
+        assert f"\n    - {name}\n" in recipe

@@ -143,6 +143,14 @@ CONTINUING = [
 ALONE = ["cad_mesh", "impact", "many_bodies", "nonlinear", "rigid_bodies", "rubber"]
 
 
+RECIPES = ["fluid_pressure", "plasticity", "temperature", "wear"]
+
+
+def recipe(name):
+    """Run the code of a page with a test of its own; return its variables."""
+    return run_blocks((DOCS / "howto" / f"{name}.md").read_text())
+
+
 @pytest.mark.parametrize("page", CONTINUING)
 def test_pages_that_continue_the_tutorial(page, tutorial):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text(), tutorial)
@@ -151,6 +159,50 @@ def test_pages_that_continue_the_tutorial(page, tutorial):
 @pytest.mark.parametrize("page", ALONE)
 def test_pages_of_their_own(page, folder):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text())
+
+
+@pytest.mark.once  # LinearProblem differs between versions of dolfinx
+def test_temperature():
+    """Pressure and flux of two bars in one dimension."""
+    variables = recipe("temperature")
+    force = -variables["problem"].results[0].force[0] / 0.02
+    assert force == pytest.approx(variables["pressure"], rel=1e-5)
+    assert variables["flux"] == pytest.approx(variables["exact"], rel=1e-5)
+
+
+@pytest.mark.once
+def test_wear():
+    """The worn volume is k F s; in the end the pressure is that of the load."""
+    variables = recipe("wear")
+    way = variables["step"] * variables["way"]
+    force = 2 * variables["load"] * variables["width"]
+    assert variables["volume"] == pytest.approx(variables["k"] * force * way, rel=1e-8)
+    np.testing.assert_allclose(variables["p"], variables["load"], rtol=0.05)
+
+
+@pytest.mark.once
+def test_plasticity():
+    """Stress of a step to another strain, by the formula of uniaxial strain."""
+    variables = recipe("plasticity")
+    assert variables["found"] == pytest.approx(variables["exact"][4.5e-3], rel=1e-4)
+
+
+@pytest.mark.once
+def test_fluid_pressure():
+    """Without the fluid and its pressure the rest of the load makes the same contact."""
+    variables = recipe("fluid_pressure")
+    wet, problem, fluid = variables["wet"], variables["problem"], variables["fluid"]
+    assert wet.normal_force.sum() + variables["lift"] == pytest.approx(4e4, rel=1e-8)
+    variables["load"].value -= fluid
+    variables["p"].x.array[:] = 0.0
+    problem.solve()
+    dry = problem.results[0].gather()
+    np.testing.assert_array_equal(dry.active, wet.active)
+    expected = np.where(dry.active, dry.pressure + fluid, 0.0)
+    # the fluid ends within a facet
+    np.testing.assert_allclose(wet.pressure, expected, atol=0.02 * expected.max())
+    middle = wet.coordinates[:, 0] < 5e-3
+    np.testing.assert_allclose(wet.pressure[middle], expected[middle], rtol=0.005)
 
 
 def test_all_pages_with_code_are_run():
@@ -164,7 +216,7 @@ def test_all_pages_with_code_are_run():
     for page in pages:
         if any(cell.kind == "python" for cell in literate.page_cells(page.read_text())):
             named = f'"{page.name}"' in source
-            assert named or page.stem in [*CONTINUING, *ALONE], page.name
+            assert named or page.stem in [*CONTINUING, *ALONE, *RECIPES], page.name
 
 
 def test_readme(folder):

@@ -9,6 +9,7 @@ from pathlib import Path
 import literate
 import nbformat
 import pytest
+import reference
 
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
@@ -100,6 +101,19 @@ def test_the_interface_lists_what_demos_import():
             if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_tfeti"):
                 for name in node.names:
                     assert f":: {node.module}.{name.name}\n" in api, (demo.name, name.name)
+
+
+def test_pages_of_the_interface(tmp_path, monkeypatch):
+    """One for each entry of the list, with its options; the list has links to them."""
+    source = "Bodies\n======\n\n.. autoclass:: a.B\n   :members: c\n.. autofunction:: a.d\n\nEnd\n"
+    monkeypatch.setattr(reference, "PAGES", tmp_path)
+    (tmp_path / "gone.rst").write_text("")
+    reference.make_pages(source)
+    assert sorted(page.name for page in tmp_path.iterdir()) == ["a.B.rst", "a.d.rst"]
+    assert (tmp_path / "a.B.rst").read_text() == "B\n=\n\n.. autoclass:: a.B\n   :members: c\n"
+    listed = reference.tables(source)
+    assert "   a.B\n   a.d\n" in listed and "   reference/a.B\n   reference/a.d\n" in listed
+    assert "auto" not in listed.replace("autosummary", "") and listed.endswith("\nEnd\n")
 
 
 def test_links(tmp_path):

@@ -11,7 +11,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary, meshtags
 
-from fenics_tfeti import ContactPair, InputError
+from fenics_tfeti import ContactPair, InputError, TiedPair
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import (
@@ -109,6 +109,7 @@ def two_boxes(comm, first):
     """Return two boxes beside each other, the first with some cells along x, and their contact."""
     bodies = boxes(comm, [Box((0, 0), (1, 1), (first, 3)), Box((1, 0), (2, 1), (5, 4))], "triangle")
     sides = [(body, lambda x: np.isclose(x[0], 1), body) for body in (1, 2)]
+    sides += [(body + 2, lambda x: np.isclose(x[1], 1), body) for body in (1, 2)]
     return bodies, [ContactPair(tag_facets(bodies.mesh, sides, bodies.cell_tags), 1, 2)]
 
 
@@ -120,7 +121,8 @@ def test_redistributed_density():
     r = ufl.SpatialCoordinate(mesh)[1]
     dx = ufl.Measure("dx", mesh, subdomain_data=bodies.cell_tags)
     for weight in (1.0, 2 * ufl.pi * r):
-        density = redistributed_density(mesh, 3.0 + 0 * r, contacts, weight)
+        tied = [TiedPair(contacts[0].facet_tags, 3, 4)]
+        density = redistributed_density(mesh, 3.0 + 0 * r, contacts + tied, weight)
         for body in (1, 2):
             masses = [rho * weight * dx(body) for rho in (density, 3.0)]
             one, other = (mesh.comm.allreduce(fem.assemble_scalar(fem.form(m))) for m in masses)

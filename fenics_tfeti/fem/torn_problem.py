@@ -25,7 +25,7 @@ from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Friction, Timer, TornSystem
+from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.typing import Vector
 
 
@@ -39,6 +39,7 @@ class ProblemData:
     subdomains: Sequence[int] | None = None
     measure_weight: Any = None
     compiler: _compat.CompilerOptions = _compat.CompilerOptions()
+    displacement: Function | None = None  # of the surfaces where obstacles are evaluated
 
     @property
     def touching(self) -> list[Contact]:
@@ -64,8 +65,10 @@ class TornProblem:
         self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
         with timer.phase("partition"):
             self.bodies = find_bodies(space.mesh, data.cell_tags)
-            check_mesh(space.mesh, self.bodies, data.touching)
-        self._search = ContactSearch(space, self.bodies, data.measure_weight, timer)
+            check_mesh(space.mesh, self.bodies, data.contacts)
+        self._search = ContactSearch(
+            space, self.bodies, data.measure_weight, timer, data.displacement
+        )
         found = self._find()
         self.torn = TornMesh(
             space,
@@ -95,7 +98,7 @@ class TornProblem:
         """Take the present data; find, and assemble after `release`, what changed. Collective."""
         self.data = replace(self.data, bcs=bcs, contacts=contacts)
         if self.torn.has_moved():
-            check_mesh(self.space.mesh, self.bodies, self.data.touching)
+            check_mesh(self.space.mesh, self.bodies, self.data.contacts)
             self._search.forget()
             self.torn.place_nodes(self._search.boundary.coordinates)
         self._assemble(self._find(), release)
@@ -133,14 +136,18 @@ class TornProblem:
             friction,
         )
 
-    def system_at(self, u: Function, rows: DeformedRows) -> TornSystem:
+    def system_at(
+        self, u: Function, rows: DeformedRows, has_small_strains: Callable[[Subdomain], bool]
+    ) -> TornSystem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
-        The coordinates are the deformed ones.
+        The coordinates are the deformed ones, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
         subdomains = [
-            replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
+            s
+            if has_small_strains(s)
+            else replace(s, coordinates=s.coordinates + values[self.nodes.to_local(s.nodes)])
             for s in self.torn.assemble(lambda: None)
         ]
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))

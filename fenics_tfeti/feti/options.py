@@ -33,7 +33,8 @@ class Options:
         first, continued by the active set method where it is slow. SMALBE-M is over MPRGP, for
         friction in three dimensions over MPGP.
     preconditioner : {"auto", "lumped", "dirichlet", "none"}
-        Preconditioner in the face; auto takes Dirichlet for nearly incompressible materials.
+        Preconditioner in the face; auto takes Dirichlet for nearly incompressible materials, and
+        for flat or graded cells at interfaces.
     scaling : {"stiffness", "multiplicity"}
         D in B D^{-1} B' = I: the diagonal of the stiffness, or the identity as in (11.22).
     dual_operator : {"auto", "implicit", "explicit"}
@@ -45,8 +46,8 @@ class Options:
         Factors of coarse matrices on every rank, or shared by some ranks with MUMPS, of which auto
         takes the one that moves less; or conjugate gradients with algebraic multigrid.
     deflation : {"auto", "on", "off"}
-        Deflation of the directions in which subdomains make F large: of the subdomains on whose
-        interface the material jumps (with weights of stiffness), of all, or of none.
+        Deflation of the directions in which subdomains make F large: of slender subdomains and
+        those on whose interface the material jumps (with weights of stiffness), of all, or of none.
     max_products : int
         Limit on the products with F.
     smalbe_rho, smalbe_M0, smalbe_beta, smalbe_eta : float

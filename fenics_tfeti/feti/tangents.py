@@ -48,6 +48,15 @@ TangentKind = Literal["auto", "exact", "projected"]
 _STRESSED = 1e-4
 
 
+def has_small_strains(subdomain: Subdomain) -> bool:
+    """Tell whether rigid motions of the undeformed coordinates cost nothing.
+
+    So it is with linearised strains, whatever the stress, and in objective materials at rest.
+    """
+    R = rigid_body_modes(subdomain.coordinates_in_frame)
+    return not forces_of_motions(subdomain.stiffness, R).any()
+
+
 def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSystem:
     """Choose exact or projected tangents for the subdomains of a system. Collective.
 

@@ -235,6 +235,23 @@ def test_roller_bearing(demo):
     assert sum(motion.count("rotation") == 1 for motion in motions) >= 16
 
 
+def test_bearing_sector(demo):
+    """Statics; a pressure above that of rollers without crown."""
+    assert demo["problem"].report.converged
+    assert demo["Q"] == pytest.approx(demo["statics"], rel=1e-3)
+    assert 1.1 * demo["p_hertz"] < demo["p_middle"] < 1.3 * demo["p_hertz"]
+
+
+@pytest.mark.once
+def test_flange(demo):
+    """The last bolt has the force of the wrench; the gasket leaves the others more than that."""
+    force, history = demo["preload"], demo["history"]
+    for k, row in enumerate(history):
+        assert row[k] == pytest.approx(force, rel=1e-6)
+    assert history[2][0] > history[1][0] > 1.05 * force
+    assert 0.2 < demo["factor"] < 0.4
+
+
 def test_each_demo_has_a_test():
     names = {name.removeprefix("test_") for name in globals() if name.startswith("test_")}
     demos = {path.stem for path in DEMOS.glob("*.py")}

@@ -23,9 +23,8 @@ def test_as_on_one_rank(nu):
     share = system.subdomains[COMM.rank :: COMM.size]
     dealt = replace(system, subdomains=share, contacts=contacts, comm=COMM)
     reports = [TornSolver(s, Options()).solve().report for s in (dealt, system)]
-    vectors = [report.deflation["vectors"] for report in reports]
-    assert min(vectors) > 1
-    assert abs(vectors[0] - vectors[1]) <= 1
+    assert "stiff modes" in reports[0].preconditioner_reason
+    assert reports[0].preconditioner_reason == reports[1].preconditioner_reason
     counts = [report.products["total"] for report in reports]
     assert abs(counts[0] - counts[1]) <= 2
     forces = [report.contacts[0].normal_force for report in reports]

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from finite_strains import indented_block
+from finite_strains import indented_block, ironing
 
-from fenics_tfeti import InputError, NotConverged
+from fenics_tfeti import Coulomb, InputError, NotConverged, Plane
 from fenics_tfeti.load_steps import load_steps
 
 
@@ -102,6 +102,35 @@ def test_restored_problem_goes_on(tmp_path):
         other.problem.restore(file)
 
 
+def test_restored_steps_go_on(tmp_path):
+    """As many as without the interruption, as long, and to the same end."""
+    file, scene = tmp_path / "step", indented_block(n=4)
+    loads = []
+    for t in scene.problem.steps(scene.set_load, 0.0, 1.0, first=0.125):
+        loads.append(t)
+        if t == 0.25:
+            scene.problem.save(file)
+    other, called = indented_block(n=4), []
+    other.problem.restore(file)
+    assert list(other.problem.steps(called.append, 0.0, 0.2)) == []
+    assert called == [0.2]
+    assert list(other.problem.steps(other.set_load, 0.0, 1.0, first=0.125)) == loads[2:]
+    np.testing.assert_allclose(other.problem.u.x.array, scene.problem.u.x.array, atol=1e-6)
+    # later steps are those that are asked for
+    assert list(other.problem.steps(other.set_load, 0.0, 0.1)) == [0.1]
+
+
+def test_slip_is_counted_anew():
+    """The drag of a second run is that of the first."""
+    scene, forces = ironing(Coulomb(0.3), n=6, newton_rtol=1e-7), []
+    for _ in range(2):
+        scene.problem.u.x.array[:] = 0.0
+        scene.problem.reset_slip()
+        scene.solve([1.0, 1.1])
+        forces.append(scene.problem.results[0].force)
+    np.testing.assert_allclose(forces[1], forces[0], atol=1e-6)
+
+
 def test_checkpoint_of_a_solve_that_was_cut_short(tmp_path):
     file = tmp_path / "step"
     scene = indented_block(newton_max_it=3)
@@ -112,3 +141,33 @@ def test_checkpoint_of_a_solve_that_was_cut_short(tmp_path):
     assert other.problem.restore(file) == 0
     other.solve([0.5])
     assert len(other.problem.report.newton) <= 4
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+def test_replaced_obstacle_near_the_deformed_surface(degree):
+    """It has no value where the surface was before, and the first one touches other facets."""
+
+    def left(x):
+        return np.where(x[0] < -0.6, 0.9 - x[1], np.inf), down(x)
+
+    def lower(x):
+        return np.where(x[1] > 0.95, np.nan, 0.85 - x[1]), down(x)
+
+    def down(x):
+        return np.vstack([0.0 * x[0], -1.0 + 0.0 * x[0]])
+
+    whole = pressed_by(Plane((0, 0.85), (0, -1)), degree)
+    scene = pressed_by(left, degree)
+    scene.problem.u.x.array[:] = whole.problem.u.x.array
+    scene.problem.contacts = [replace(scene.problem.contacts[0], obstacle=lower)]
+    scene.solve([1.0])
+    np.testing.assert_allclose(
+        scene.problem.results[0].force, whole.problem.results[0].force, atol=1e-7
+    )
+
+
+def pressed_by(obstacle, degree):
+    """Return a solved block under an obstacle."""
+    scene = indented_block(n=4, degree=degree, obstacle=obstacle, newton_rtol=1e-8)
+    scene.solve([1.0])
+    return scene

@@ -28,6 +28,13 @@ def test_nafems_roller_on_a_block():
     assert values["p0"] == pytest.approx(3585.37, rel=2e-3)
 
 
+def test_asimov_half_disc():
+    pytest.importorskip("gmsh")
+    values = run("asimov_half_disc")
+    assert values["a"] == pytest.approx(values["HALF_WIDTH"], rel=2e-3)
+    assert values["p0"] == pytest.approx(values["LARGEST"], rel=2e-3)
+
+
 def test_code_aster_spheres():
     """Half spheres are stiffer than the half spaces of the formula."""
     pytest.importorskip("gmsh")

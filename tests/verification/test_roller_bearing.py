@@ -16,7 +16,7 @@ from scenes import POISSON, Scene, elasticity, scalar_space
 
 from dolfinx import fem
 
-from fenics_tfeti import Plane
+from fenics_tfeti import PeriodicPair, Plane
 from fenics_tfeti.io import read_msh
 
 pytestmark = pytest.mark.once
@@ -267,3 +267,38 @@ def test_load_distribution_of_rigid_rings(meshes, tmp_path):
         rigid = rigid_rings(found, load, palmgren)
         np.testing.assert_allclose(found.loads, rigid, atol=0.08 * rigid.max())
         assert (found.loads[rigid == 0.0] < 0.01 * rigid.max()).all()
+
+
+def under_axial_load(meshes, path, sector):
+    """Solve a bearing with one row of rollers, or one of its eight sectors, under an axial load."""
+    bearing = replace(meshes.small_bearing(), rows=1)
+    parts = 1 if sector else bearing.rollers
+    bodies = read(meshes, path, meshes.solids_of(bearing, sector))
+    scene, tags = Scene.of(bodies), bodies.names
+    scene.fix(tags["outside"])
+    scene.add_load(tags["bore"], np.array([0.0, 0.0, -1e7]))
+    normal = bearing.away_from_axis(1)
+    for side in ("outer", "inner"):
+        scene.add_pair(tags[f"rollers 1 {side}"], tags[f"{side} raceway 1"], normal=normal)
+    if sector:
+        c, s = np.cos(2 * np.pi / bearing.rollers), np.sin(2 * np.pi / bearing.rollers)
+        borders = tags["second border"], tags["first border"]
+        turn = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+        scene.contacts.append(PeriodicPair(scene.facet_tags, *borders, rotation=turn))
+    problem = scene.problem(cell_tags=None, options={"rtol": 1e-9})
+    problem.solve()
+    pressures = [np.sort(problem.results[k].pressure) for k in range(2)]
+    return problem.report.energy / parts, pressures
+
+
+@pytest.mark.heavy
+@pytest.mark.filterwarnings("ignore:.*clearance of the mesh")
+def test_one_sector(meshes, tmp_path):
+    """Energy and pressures are those of the whole ring."""
+    energy, pressures = under_axial_load(meshes, tmp_path / "sector.msh", sector=True)
+    whole, expected = under_axial_load(meshes, tmp_path / "whole.msh", sector=False)
+    assert energy == pytest.approx(whole, rel=1e-8)
+    for found, values in zip(pressures, expected, strict=True):
+        np.testing.assert_allclose(
+            np.repeat(found, values.size // found.size), values, atol=1e-6 * values.max()
+        )

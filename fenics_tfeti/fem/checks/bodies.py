@@ -19,6 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.cells import CellGeometry
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.contact.ties import BoltPreload, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
@@ -65,8 +66,10 @@ class SurfaceNodes:
         )
 
 
-def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]) -> SurfaceNodes:
-    """Return the nodes of the exterior facets of this rank's cells, marked by the contact pairs."""
+def surface_nodes(
+    domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact | Tie]
+) -> SurfaceNodes:
+    """Return the nodes of the exterior facets of this rank's cells; pairs and bolts mark them."""
     cell, facet = np.nonzero(exterior_cell_facets(domain))
     nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
     per_facet = nodes.shape[1]
@@ -87,12 +90,12 @@ def surface_nodes(domain: Mesh, cells: CellGeometry, contacts: Sequence[Contact]
     ).merged()
 
 
-def _contact_nodes(domain: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
-    """Mark the nodes on slave and on master surfaces of pairs; tags are checked later."""
+def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mask, Mask]:
+    """Mark the nodes on slave and on master surfaces of pairs and bolts; tags are checked later."""
     marks = np.zeros((2, len(domain.geometry.x)), dtype=bool)
     dim = domain.topology.dim - 1
     for contact in contacts:
-        if not isinstance(contact, ContactPair):
+        if not isinstance(contact, ContactPair | BoltPreload):
             continue
         tags = contact.facet_tags
         if _compat.tags_are_on(tags, domain) and tags.dim == dim:

@@ -22,14 +22,16 @@ from fenics_tfeti.fem.checks.bodies import (
 )
 from fenics_tfeti.fem.checks.cells import CellGeometry, check_overlaps, check_shapes
 from fenics_tfeti.fem.contact.description import Contact
+from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.parallel import raise_collectively
 
 
-def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact]) -> None:
+def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact | Tie]) -> None:
     """Check the cells, and that each body is connected through facets. Collective.
 
-    The surfaces of a contact pair may be the two faces of a crack in one body.
+    The surfaces of a contact pair may be the two faces of a crack in one body, those of a bolt the
+    sides of a cut.
     """
     cells = check_cells(domain, bodies)
     check_overlaps(domain, bodies, cells)

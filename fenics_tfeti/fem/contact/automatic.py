@@ -58,8 +58,8 @@ def find_contacts(
     cell_tags : MeshTags, optional
         The bodies, as for `ContactProblem`; by default the connected parts of the mesh.
     distance : float, optional
-        Largest gap between facets [m], by default the mean edge of the facet. A part of a surface
-        that may touch later has to be within it.
+        Largest gap between facets [m], by default the shortest edge of the facet. A part of a
+        surface that may touch later has to be within it.
     friction : Tresca or Coulomb, optional
         The law of friction of all pairs; by default there is none.
     whole_faces : bool

@@ -412,9 +412,16 @@ class ContactSet:
     ) -> TiedResult:
         """Return the result of a tie from the forces of its rows."""
         tie, force = found.pairing, found.pairing.forces(row_forces)
-        result = TiedResult(
+        entry = ContactEntry(**vars(forces), pairing=tie.summary)
+        if tie.preload is not None:
+            shortening = tie.preload.shortening
+            if shortening is None:
+                shortening = float(shortenings[found.number])
+            tension = float(np.array(entry.force) @ tie.preload.axis)
+            entry = replace(entry, tension=tension, shortening=shortening)
+        return (TiedResult if tie.preload is None else BoltResult)(
             tie.name,
-            ContactEntry(**vars(forces), pairing=tie.summary),
+            entry,
             tie.nodes,
             self._dofs(tie.nodes),
             tie.coordinates,
@@ -423,13 +430,6 @@ class ContactSet:
             tie.area,
             self.boundary.space.mesh.comm,
         )
-        if tie.preload is None:
-            return result
-        shortening = tie.preload.shortening
-        if shortening is None:
-            shortening = float(shortenings[found.number])
-        tension = float(result.force @ tie.preload.axis)
-        return BoltResult(**vars(result), shortening=shortening, tension=tension)
 
     def _dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
@@ -487,13 +487,20 @@ class ContactSearch:
     """The search for the conditions of a problem's contacts and tied pairs.
 
     What was found is used again as long as the user's contacts and the nodes of the mesh are the
-    same. It also decides, once for each pair, whether slave and master are exchanged.
+    same. It also decides, once for each pair, whether slave and master are exchanged. Obstacles are
+    evaluated on the surfaces deformed by a displacement, if one is given.
     """
 
     def __init__(
-        self, space: FunctionSpace, bodies: Bodies, measure_weight: Any, timer: Timer
+        self,
+        space: FunctionSpace,
+        bodies: Bodies,
+        measure_weight: Any,
+        timer: Timer,
+        displacement: Function | None = None,
     ) -> None:
         self._space, self._bodies, self._timer = space, bodies, timer
+        self._displacement = displacement
         self._measure_weight = measure_weight
         self._roles: list[Roles] = []
         self.forget()
@@ -522,6 +529,7 @@ class ContactSearch:
                 known,
                 prescribed,
                 list(touching),
+                self._displacement,
             )
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])

@@ -93,6 +93,11 @@ class Nearest:
     tolerance : float
         Largest distance of the two along the surface, relative to the mean edge of the smallest of
         the slave's facets there.
+
+    Examples
+    --------
+    >>> Nearest(tolerance=0.3)
+    Nearest(tolerance=0.3)
     """
 
     tolerance: float = 0.1
@@ -115,6 +120,11 @@ class Along:
     tolerance : float
         Largest distance of the master node from the line, relative to the mean edge of the smallest
         of the slave's facets there.
+
+    Examples
+    --------
+    >>> Along((0, 0, 1))
+    Along(direction=(0, 0, 1), tolerance=0.1)
     """
 
     direction: VectorField
@@ -138,6 +148,14 @@ class Mapped:
     tolerance : float
         Largest distance of the master node from the image, relative to the mean edge of the
         smallest of the slave's facets there.
+
+    Examples
+    --------
+    The partners of the nodes at x = 1 are at x = 3.
+
+    >>> shift = Mapped(lambda x: x + np.array([[2.0], [0.0], [0.0]]))
+    >>> shift.mapping(np.array([[1.0], [0.5], [0.0]])).ravel().tolist()
+    [3.0, 0.5, 0.0]
     """
 
     mapping: Callable[[Vector], ArrayLike]
@@ -164,6 +182,11 @@ class Points:
     tolerance : float
         Largest distance of the nodes from these places, relative to the mean edge of the smallest
         of the facets there.
+
+    Examples
+    --------
+    >>> pairs = Points(slave=[(0, 1), (1, 1)], master=[(0, 1), (1.02, 1)])
+    >>> ContactPair(facet_tags, 5, 6, partners=pairs)  # doctest: +SKIP
     """
 
     slave: ArrayLike
@@ -189,7 +212,7 @@ NodePartners: TypeAlias = Nearest | Along | Mapped | Points
 class ContactPair:
     """Two tagged surfaces that may touch but not penetrate each other.
 
-    Their meshes need not match, and each surface may extend beyond the other. :doc:`surfaces` says
+    Their meshes need not match, and each surface may extend beyond the other. :doc:`/surfaces` says
     what to choose.
 
     Attributes
@@ -221,6 +244,12 @@ class ContactPair:
         Whether conditions are between pairs of nodes, and how these are found, or mortar
         conditions. By default they are between nodes where the meshes match, and mortar conditions
         elsewhere.
+
+    Examples
+    --------
+    >>> ContactPair(facet_tags, slave=5, master=6, name="joint")  # doctest: +SKIP
+    >>> ContactPair(facet_tags, 5, 6, friction=Coulomb(0.3))  # doctest: +SKIP
+    >>> ContactPair(facet_tags, 5, 6, initial_gap=-0.05e-3)  # a shrink fit  # doctest: +SKIP
     """
 
     facet_tags: Any
@@ -287,6 +316,12 @@ class RigidObstacle:
     body : RigidBody, optional
         The rigid body with the shape of `obstacle`, moved by its contacts and loads. By default the
         obstacle is held.
+
+    Examples
+    --------
+    >>> ground = Plane(point=(0, 0, 0), normal=(0, 0, 1))  # doctest: +SKIP
+    >>> RigidObstacle(facet_tags, 7, ground, friction=Coulomb(0.2))  # doctest: +SKIP
+    >>> RigidObstacle(facet_tags, 7, lambda x: x[2] - 0.1 * x[0] ** 2)  # doctest: +SKIP
     """
 
     facet_tags: Any
@@ -344,6 +379,10 @@ class TiedPair:
         larger facets, of equal ones that of the softer body.
     name : str
         For messages and the report.
+
+    Examples
+    --------
+    >>> TiedPair(facet_tags, slave=5, master=6, name="glue")  # doctest: +SKIP
     """
 
     facet_tags: Any

@@ -192,7 +192,13 @@ def _matched(
     )
     master = tagged_master.gathered()
     if isinstance(pair, BoltPreload):
-        check_separate(slave, master.nodes, name)
+        check_separate(
+            slave,
+            master.nodes,
+            name,
+            "The cut does not go through the shank: extend the facets that "
+            "fenics_tfeti.io.split_interfaces opens to its surface",
+        )
     numbers = boundary.nodes.to_global(slave.facet_nodes)
     x = boundary.coordinates[slave.facet_nodes, : len(t)]
     image = (master.points @ Q.T + t)[master.facets.nodes]

@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from dolfinx.fem import Function
+
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_different_nodes, check_different_surfaces
 from fenics_tfeti.fem.contact.contact import ContactPairing
@@ -37,19 +39,20 @@ def match_contacts(
     known: Sequence[tuple[Contact, ContactPairing]] = (),
     prescribed: Prescribed | None = None,
     numbers: Sequence[int] | None = None,
+    displacement: Function | None = None,
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that new ones overlap no others. Collective.
 
     Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
     displacements of this rank's nodes tell planes of symmetry. The numbers are those of contacts
-    without a name.
+    without a name. Obstacles are evaluated on surfaces deformed by a displacement, if one is given.
     """
     comm, earlier = boundary.nodes.comm, {id(contact): pairing for contact, pairing in known}
     has_new = any(id(contact) not in earlier for contact in contacts)
     if has_new:
         check_different_surfaces(contacts, comm)
     pairings = [
-        match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed)
+        match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed, displacement)
         for i, contact in zip(numbers or range(len(contacts)), contacts, strict=True)
     ]
     if has_new:
@@ -63,6 +66,7 @@ def match_contact(
     number: int,
     earlier: ContactPairing | None = None,
     prescribed: Prescribed | None = None,
+    displacement: Function | None = None,
 ) -> ContactPairing:
     """Find the slave's nodes, normals, partners and gaps, this rank's part. Collective.
 
@@ -73,7 +77,7 @@ def match_contact(
     """
     name = contact_name(contact, number)
     if isinstance(contact, RigidObstacle):
-        return match_obstacle(boundary, name, contact, earlier)
+        return match_obstacle(boundary, name, contact, earlier, displacement)
     supports = Prescribed() if prescribed is None else prescribed
     if earlier is not None and earlier.prescribed is not None:
         holds = still_holds(earlier.surface, supports, earlier.prescribed)

@@ -5,6 +5,8 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from dolfinx.fem import Function
@@ -19,14 +21,21 @@ from fenics_tfeti.typing import Vector
 
 
 def match_obstacle(
-    boundary: MeshBoundary, name: str, contact: RigidObstacle, earlier: ContactPairing | None
+    boundary: MeshBoundary,
+    name: str,
+    contact: RigidObstacle,
+    earlier: ContactPairing | None,
+    displacement: Function | None = None,
 ) -> ContactPairing:
     """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
-    The surface of an earlier result is used again.
+    The surface of an earlier result is used again. With a displacement the obstacle is evaluated on
+    the deformed surface alone.
     """
     tags, tag = contact.facet_tags, contact.slave
     slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
+    if displacement is not None:
+        return _match_deformed(name, contact, slave, displacement)
     if boundary.degree > 1:
         return _match_means(name, contact, slave)
     comm, covered = slave.comm, np.ones(len(slave.facet_nodes), dtype=bool)
@@ -70,6 +79,30 @@ def _match_means(name: str, contact: RigidObstacle, slave: Surface) -> ContactPa
         comm, name, "obstacle", gap, angle, slave.nodes.size, area=terms.scale
     )
     return ContactPairing(terms, -outward, gap, terms.scale, name, summary, slave, covered)
+
+
+def _match_deformed(
+    name: str, contact: RigidObstacle, slave: Surface, displacement: Function
+) -> ContactPairing:
+    """Return conditions on all facets, wherever they may meet the obstacle later."""
+    covered = np.ones(len(slave.facet_nodes), dtype=bool)
+    if slave.boundary.degree > 1:
+        nodes, terms = one_sided_conditions(slave, slave.oriented_part(), covered)
+        area = terms.scale
+    else:
+        nodes, terms, area = slave.nodes, Terms.of_nodes(slave.nodes), slave.areas(covered, name)
+    rows = np.searchsorted(slave.nodes, nodes)
+    gap = np.full(nodes.size, np.inf)
+    pairing = ContactPairing(terms, slave.normal[rows], gap, area, name, {}, slave, covered)
+    displacement.x.scatter_forward()
+    normal, _, distance = deformed_gaps(contact, pairing, displacement)
+    gap = slave.without_rounding(distance)
+    deformed = slave.gathered(displacement)
+    angle = angles_between(deformed.normal[np.searchsorted(deformed.nodes, nodes)], normal)
+    summary = pairing_summary(
+        slave.comm, name, "obstacle", gap, angle, slave.nodes.size, area=slave.area
+    )
+    return replace(pairing, normal=normal, gap=gap, summary=summary)
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

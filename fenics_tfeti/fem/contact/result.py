@@ -42,11 +42,15 @@ class ContactEntry(ContactForces):
     roles : str or None
         Whether slave and master were exchanged, and why, or why not; None where the given ones are
         good.
+    tension, shortening : float or None
+        Of a bolt: force in the shank along its axis [N], and by how much it is shortened [m].
     """
 
     pairing: dict[str, Any]
     roles_ratio: float | None = None
     roles: str | None = None
+    tension: float | None = None
+    shortening: float | None = None
 
     def seen_from_master(self) -> ContactEntry:
         """Return the entry with the forces on slave and master exchanged."""
@@ -99,6 +103,11 @@ class FrictionResult:
         Whether the force is below its bound.
     work : (k,) array
         Work that friction dissipates since the last step: force times slip [J].
+
+    Examples
+    --------
+    >>> friction = problem.results["joint"].friction  # doctest: +SKIP
+    >>> friction.sticking.sum(), friction.slip  # doctest: +SKIP
     """
 
     force: Vector
@@ -165,6 +174,12 @@ class ContactResult(_Summed):
         master. Normals, forces and slips are those of the slave there.
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> joint = problem.results["joint"]  # doctest: +SKIP
+    >>> joint.pressure.max(), joint.active.sum(), joint.force  # doctest: +SKIP
+    >>> whole = joint.gather()  # the nodes of all ranks, on all ranks  # doctest: +SKIP
     """
 
     name: str
@@ -236,6 +251,10 @@ class TiedResult(_Summed):
         surfaces of degree 2 that match at nodes that are no vertices.
     comm : MPI.Intracomm
         The ranks.
+
+    Examples
+    --------
+    >>> problem.results["glue"].traction  # doctest: +SKIP
     """
 
     name: str
@@ -254,20 +273,20 @@ class TiedResult(_Summed):
         return replace(self, comm=MPI.COMM_SELF, **_gathered(self, self.comm, order))
 
 
-@dataclass(frozen=True)
 class BoltResult(TiedResult):
-    """The solution at the cut through a bolt.
+    """The solution at the cut through a bolt, as a `TiedResult`."""
 
-    Attributes
-    ----------
-    shortening : float
-        That of the shank, given or found [m].
-    tension : float
-        Force in the shank along its axis, given or found [N]; [N/m] in plane problems.
-    """
+    @property
+    def tension(self) -> float:
+        """Force in the shank along its axis, given or found [N]; [N/m] in plane problems."""
+        assert self.entry.tension is not None
+        return self.entry.tension
 
-    shortening: float = 0.0
-    tension: float = 0.0
+    @property
+    def shortening(self) -> float:
+        """By how much the shank is shortened, given or found [m]."""
+        assert self.entry.shortening is not None
+        return self.entry.shortening
 
 
 class Results(Sequence[Any]):

@@ -81,7 +81,13 @@ def tie_surfaces(
     master = gather_nearby(tagged_master, slave)
     with raise_collectively(comm):
         master.check_not_folded(name)
-    check_separate(slave, master.nodes, name)
+    check_separate(
+        slave,
+        master.nodes,
+        name,
+        "Surfaces that share nodes are one already: leave the pair out, or give each part nodes of "
+        "its own by fenics_tfeti.io.split_interfaces",
+    )
     fixed = prescribed_components(slave, prescribed)
     conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
@@ -121,16 +127,14 @@ def tie_surfaces(
     )
 
 
-def check_separate(slave: Surface, master: Numbers, name: str) -> None:
+def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
     """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
     raise_where(
         slave.comm,
         np.isin(slave.nodes, master),
         slave.points,
         lambda number, place: (
-            f"{name}: slave and master share {number} nodes, the first at {place}. Surfaces that "
-            "share nodes are one already: leave the pair out, or give each part nodes of its own "
-            "by fenics_tfeti.io.split_interfaces"
+            f"{name}: slave and master share {number} nodes, the first at {place}. {remedy}"
         ),
     )
 

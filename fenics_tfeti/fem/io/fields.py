@@ -65,6 +65,11 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     Notes
     -----
     Where the stress is not constant on a cell, its largest values at the vertices are not shown.
+
+    Examples
+    --------
+    >>> stress = von_mises(mesh, sigma(uh))  # doctest: +SKIP
+    >>> stress = von_mises(mesh, sigma(uh), poisson_ratio=0.3)  # plane strain  # doctest: +SKIP
     """
     with raise_collectively(mesh.comm):
         stress = ufl.as_ufl(stress)
@@ -281,6 +286,11 @@ def displacement_space(mesh: Mesh, degree: int = 1) -> FunctionSpace:
         The mesh.
     degree : int
         1 or 2; on curved cells 2.
+
+    Examples
+    --------
+    >>> V = displacement_space(mesh)  # doctest: +SKIP
+    >>> V = displacement_space(curved_mesh, degree=2)  # doctest: +SKIP
     """
     return _compat.lagrange_space(mesh, degree, mesh.geometry.dim)
 
@@ -301,6 +311,11 @@ def piecewise_constant(mesh: Mesh, cell_tags: Any, values: Mapping[int, float]) 
     ------
     InputError
         If a cell has no tag, or a tag no value.
+
+    Examples
+    --------
+    >>> E = piecewise_constant(mesh, cell_tags, {1: 2.1e11, 2: 7e10})  # doctest: +SKIP
+    >>> sigma = isotropic(E, 0.3)  # doctest: +SKIP
     """
     space = _compat.lagrange_space(mesh, 0, discontinuous=True)
     result = Function(space)
@@ -336,6 +351,11 @@ class ContactFields(NamedTuple):
     gap, opening : Function
         "initial_gap" and "opening", the gaps before and after the solve [m]: NaN off the surfaces
         and where a contact has no obstacle. In forms, fill them by ``numpy.nan_to_num``.
+
+    Examples
+    --------
+    >>> fields = contact_fields(V, problem.results)  # doctest: +SKIP
+    >>> write_fields("result.pvd", [uh, *fields])  # doctest: +SKIP
     """
 
     pressure: Function

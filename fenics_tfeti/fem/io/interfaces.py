@@ -54,6 +54,10 @@ class Interface:
     facets : int or str, optional
         Tag or name of the facets to open; those of them that are between the two bodies are. By
         default all facets between the two bodies.
+
+    Examples
+    --------
+    >>> Interface("bolt", "block", slave_tag="shank", master_tag="hole").facets
     """
 
     slave: int | str

@@ -27,7 +27,7 @@ def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = Non
     body = [_verdict(report, title, units)]
     if scene is not None:
         body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene, units))]
-    body += _contacts(report, units) + _rigid_bodies(report, units)
+    body += _contacts(report, units) + _bolts(report, units) + _rigid_bodies(report, units)
     body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report, units))]
     if report["passes"]:
         body += ["<h2>Geometry passes</h2>", _div("passes", _passes(report["passes"]))]
@@ -96,6 +96,15 @@ def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
         )
         rows.append((*row, _number(contact["friction_work"])) if has_friction else row)
     return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+
+
+def _bolts(report: Mapping[str, Any], units: Units) -> list[str]:
+    bolts = [contact for contact in report["contacts"] if contact["tension"] is not None]
+    if not bolts:
+        return []
+    rows = [("bolt", f"tension [{units.force}]", f"shortening [{units.length}]")]
+    rows += [(b["name"], _number(b["tension"]), _number(b["shortening"])) for b in bolts]
+    return ["<h2>Bolts</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
 
 
 def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:

@@ -96,6 +96,10 @@ def draw_deformed(
     Notes
     -----
     The picture is drawn by another Python process: where VTK fails, the solution is not lost.
+
+    Examples
+    --------
+    >>> draw_deformed("bodies.png", uh, stress, label="von Mises", unit="MPa")  # doctest: +SKIP
     """
     path = Path(path)
     comm = displacement.function_space.mesh.comm
@@ -157,6 +161,11 @@ def draw_profile(
         If an argument is wrong.
     ImportError
         If Matplotlib is missing. All errors are raised on all ranks.
+
+    Examples
+    --------
+    >>> curves = {"joint": (x, pressure, "o"), "Hertz": (x, exact, "-")}  # doctest: +SKIP
+    >>> draw_profile("pressure.png", curves, "x [m]", "pressure [Pa]")  # doctest: +SKIP
     """
     path = Path(path)
     with raise_collectively(comm):

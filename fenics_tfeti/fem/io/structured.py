@@ -35,6 +35,11 @@ class Box:
         Number of grid intervals along each axis.
     name : str, optional
         Name of the body.
+
+    Examples
+    --------
+    >>> Box((0, 0, 0), (2, 1, 1), divisions=(4, 2, 2), name="beam").upper
+    (2, 1, 1)
     """
 
     lower: Sequence[float]

@@ -26,6 +26,11 @@ class TaggedMesh:
         The tags of facets; those without a tag are left out.
     names : dict of str to int
         Name -> tag of cells or facets; the same on all ranks.
+
+    Examples
+    --------
+    >>> parts = read_msh("pump.msh", MPI.COMM_WORLD)  # doctest: +SKIP
+    >>> parts.facet_tags.find(parts.names["seat"])  # doctest: +SKIP
     """
 
     mesh: Mesh

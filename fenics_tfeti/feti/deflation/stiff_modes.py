@@ -5,7 +5,8 @@ stiffness of shear. Displacements of the interface that change the volume of the
 cells that the interior cannot make up for, cost the bulk modulus: theta is up to kappa / mu. The
 Dirichlet preconditioner is as large, since B_D'r has such parts, while F is moderate.
 
-So theta is replaced by a moderate number in the preconditioner, which then is too small for forces
+The preconditioner takes weights with these modes (`dual.deluxe_scaling`). Where they are too many
+for that, theta is replaced by a moderate number in it, which then is too small for forces
 that act on these modes: pressures. The one that matters most, the constant pressure in a subdomain,
 is deflated: with the force f of a dilatation, deflating B D^{-1} f leaves f'D^{-1} B'r = o on the
 equality rows. To deflate all large modes takes fewer products, but more time, and the modes of

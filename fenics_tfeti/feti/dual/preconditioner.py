@@ -21,10 +21,12 @@ from scipy.linalg import null_space
 
 from fenics_tfeti.feti.constraints.coupling import GramInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
+from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -43,6 +45,7 @@ class Preconditioner:
     # x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`
     apply: Callable[[Vector], Vector]
     constraints: Constraints
+    scaling: DeluxeScaling | None = None  # of stiff modes, which `apply` has too
     _inverse: GramInverse | None = field(init=False, repr=False, default=None)
 
     def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
@@ -51,10 +54,12 @@ class Preconditioner:
         For the mask `rows` (m,) of the face see `Constraints.face`.
         """
         coupling = self.constraints.coupling
-        if not coupling.numbers.size:
+        if not coupling.numbers.size and self.scaling is None:
             return self.apply
         (on_rows,) = coupling.gather(rows.astype(float))
         inverse = self._inverse_of(on_rows > 0.0)
+        if self.scaling is not None:
+            return self._with_scaling(self.scaling.on_face(rows, inverse))
 
         def precondition(x: Vector) -> Vector:
             x = x.copy()
@@ -66,6 +71,10 @@ class Preconditioner:
             return part
 
         return precondition
+
+    def _with_scaling(self, close: Operator) -> Operator:
+        layout = self.constraints.layout
+        return lambda x: layout.owned_part(close(layout.sum(self.apply(close(x)))))
 
     def kernel_part(self, x: Vector, rows: Mask) -> Vector | float:
         """Return the part of x that the preconditioner of a face takes to zero. Collective.
@@ -146,34 +155,62 @@ class Preconditioner:
         return self._inverse
 
 
-def choose_preconditioner(
-    kind: PreconditionerKind, comm: MPI.Intracomm, ratios: Sequence[float]
-) -> PreconditionerKind:
-    """Return the kind that "auto" stands for. Collective.
+@dataclass(frozen=True)
+class Choice:
+    """A preconditioner, and why "auto" has chosen it."""
 
-    The ratios are bulk over shear modulus of the classes of congruent subdomains.
+    kind: PreconditionerKind
+    reason: str = ""
+
+    @staticmethod
+    def by_data(comm: MPI.Intracomm, ratios: Sequence[float], excesses: Sequence[float]) -> Choice:
+        """Return what "auto" stands for. Collective.
+
+        For each class of congruent subdomains the bulk over the shear modulus and `lumped_excess`.
+        An application of the Dirichlet preconditioner takes at most as long as a product with F; it
+        pays where half as many products are needed, with a quarter of the condition number.
+        """
+        largest = np.array([max(ratios, default=0.0), max(excesses, default=0.0)])
+        comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        ratio, excess = largest
+        if ratio > _INCOMPRESSIBLE:
+            return Choice("dirichlet", "nearly incompressible material")
+        if excess > 4.0:
+            return Choice("dirichlet", "flat or graded cells at interfaces")
+        return Choice("lumped")
+
+    def with_stiff_modes(self, number: int) -> Choice:
+        """Return the same, with a number of stiff modes that have weights of their own."""
+        modes = f"{number} stiff modes"
+        return Choice(self.kind, f"{self.reason}, {modes}" if self.reason else modes)
+
+
+def lumped_excess(reaction: Operator, trial: TrialDisplacements, edge: float) -> float:
+    """Return the condition number of PMPF with the lumped over that with Dirichlet's, estimated.
+
+    The lumped one's is the largest eigenvalue of S^+ K_bb, at least what uniform strains show;
+    Dirichlet's is about (1 + log(H / h))^2. The reaction is K_bb, H / h is nodes along an edge.
     """
-    if kind != "auto":
-        return kind
-    largest = comm.allreduce(max(ratios, default=0.0), MPI.MAX)
-    return "dirichlet" if largest > _INCOMPRESSIBLE else "lumped"
+    u = trial.values[: trial.strains]
+    largest = trial.largest(np.sum(u * reaction(u), axis=1))
+    return float(largest / (1.0 + np.log(edge)) ** 2)
 
 
-def interface_operator(F: DualOperator, reactions: Sequence[Operator]) -> Operator:
+def interface_operator(
+    F: DualOperator, reactions: Sequence[Operator], scaling: DeluxeScaling | None = None
+) -> Operator:
     """Return this rank's part of x -> B D^{-1} S D^{-1} B'x, S the stiffness of interfaces.
 
     The interface is what B has entries on; the reactions are S of each class of congruent
-    subdomains, for rows (k, b).
+    subdomains, for rows (k, b). The scaling has other weights than D.
     """
     interface = F.interface
     flexibility = 1.0 / F.constraints.weights[interface.columns]
+    weighted = scaling.displacements if scaling else lambda forces: flexibility * forces
 
     def apply(x: Vector) -> Vector:
-        displacements = interface.transposed @ x
-        displacements *= flexibility
-        forces = interface.apply(reactions, displacements)
-        forces *= flexibility
-        part: Vector = interface.matrix @ forces
+        displacements = weighted(interface.transposed @ x)
+        part: Vector = interface.matrix @ weighted(interface.apply(reactions, displacements))
         return part
 
     return apply

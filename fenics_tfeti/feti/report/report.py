@@ -65,7 +65,9 @@ class Report:
         How many of them have solves (``implicit``) or a dense matrix (``explicit``) for their part
         of F.
     preconditioner : str
-        The one that the option, or the material, has chosen.
+        The one of the option, or what "auto" has chosen.
+    preconditioner_reason : str
+        Why, if "auto" has not chosen the lumped one.
     outer_iterations : int
         Outer iterations of SMALBE-M.
     products : dict
@@ -131,6 +133,7 @@ class Report:
     classes: int
     dual_operator: dict[str, int]
     preconditioner: str
+    preconditioner_reason: str
     outer_iterations: int
     products: dict[str, int]
     deflation: dict[str, int]
@@ -174,6 +177,7 @@ class Report:
         unknowns, products, unit = self.unknowns, self.products, f" {force_unit}".rstrip()
         accuracy = "at most" if self.certificate.guaranteed else "estimated as"
         negative = f", {n} of them negative" if (n := self.deflation["negative"]) else ""
+        because = f", for {why}" if (why := self.preconditioner_reason) else ""
         lines = {
             "result": self.reason,
             "error": f"{accuracy} {self.certificate.worst:.1e}, relative, in the energy norm",
@@ -181,7 +185,7 @@ class Report:
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
             "products with F": f"{products['total']}, and {products['norm']} for its norm",
-            "preconditioner": self.preconditioner,
+            "preconditioner": self.preconditioner + because,
             "deflation": f"{self.deflation['vectors']} directions{negative}",
             "time": f"{self.seconds['total']:.2f} s ({self._slowest()}), MPI ranks: {self.ranks}",
         }
@@ -263,7 +267,8 @@ def build_report(
         subdomains=subdomains,
         classes=classes,
         dual_operator={"implicit": classes - explicit, "explicit": explicit},
-        preconditioner=local.preconditioner,
+        preconditioner=setup.choice.kind,
+        preconditioner_reason=setup.choice.reason,
         outer_iterations=len(history.outer),
         products={
             "total": products.total,

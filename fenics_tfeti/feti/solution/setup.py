@@ -28,17 +28,18 @@ from fenics_tfeti.feti.deflation.local_spectra import (
     local_vectors,
     threshold,
 )
-from fenics_tfeti.feti.deflation.material_jumps import subdomains_with_jumps
+from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
 from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
+from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
+    Choice,
     Operator,
     Preconditioner,
-    PreconditionerKind,
-    choose_preconditioner,
     interface_operator,
     interface_reactions,
+    lumped_excess,
 )
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.local.cholesky import choose_package
@@ -46,6 +47,7 @@ from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_
 from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
+from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.monitor import Monitor
 from fenics_tfeti.feti.solution.row_bodies import RowBodies
@@ -70,7 +72,6 @@ class LocalSetup:
     stiffness: list[sp.csr_matrix]  # (n_i, n_i) K_i of each class in its frame [N/m]
     unit: float  # the stiffness that a weight of 1 stands for [N/m]
     ratios: list[float]  # bulk over shear modulus of each class
-    preconditioner: PreconditionerKind  # the one that is chosen
 
     @staticmethod
     def build(system: TornSystem, options: Options) -> LocalSetup:
@@ -95,10 +96,16 @@ class LocalSetup:
             ]
         stiffness = [free.stiffness for free in floating]
         ratios = [weights.bulk_over_shear[congruent.first] for congruent in classes]
-        kind = choose_preconditioner(options.preconditioner, system.comm, ratios)
         return LocalSetup(
-            weights.values, unknowns, classes, kernels, stiffness, weights.unit, ratios, kind
+            weights.values, unknowns, classes, kernels, stiffness, weights.unit, ratios
         )
+
+    def on_interface(self, interface: Interface) -> list[Vector]:
+        """Return R_i (b, k) on the interface unknowns of each class."""
+        return [
+            self.kernels[congruent.first][unknowns]
+            for congruent, unknowns in zip(self.classes, interface.unknowns, strict=True)
+        ]
 
 
 def factor_subdomains(
@@ -140,8 +147,10 @@ class DualSetup:
     projector: Projector  # P and Q of all rows
     F: DualOperator  # BK^+B'
     preconditioner: Preconditioner | None  # B_D S B_D' on faces
+    choice: Choice  # of the preconditioner
     norm: ProjectedNorm  # ||PFP||
     row_bodies: RowBodies
+    trials: list[TrialDisplacements]  # of each class; empty if they are not needed
     # of each class, None where there are none; empty if they are not looked for
     stiff_modes: Sequence[StiffModes | None]
     negative: int  # negative eigenvalues of the K_i of all ranks
@@ -163,33 +172,34 @@ class DualSetup:
             coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
         )
         constraints = coarse_space.constraints
-        preconditioner, modes = None, list[StiffModes | None]()
         members = [congruent.members.size for congruent in local.classes]
         negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
-        if local.preconditioner != "none":
-            with raise_collectively(system.comm), _unstable_if(negative):
-                reactions = interface_reactions(
-                    local.preconditioner,
-                    F.interface.unknowns,
-                    local.stiffness,
-                    [local.kernels[congruent.first] for congruent in local.classes],
-                    package,
-                )
-            if local.preconditioner == "dirichlet" and options.deflation != "off":
-                modes = _stiff_modes(system, local, F, reactions)
+        trials = _trial_displacements(system, options, local, F)
+        choice, reactions = _chosen_reactions(system, options, local, F, trials, package, negative)
+        preconditioner, scaling, modes = None, None, list[StiffModes | None]()
+        if choice.kind == "dirichlet" and options.deflation != "off":
+            modes = _stiff_modes(system, local, F, reactions)
+            scaling = DeluxeScaling.build(F, modes, local.unit, package)
+            if scaling is not None:
+                choice, modes = choice.with_stiff_modes(scaling.size), []
+            else:
                 reactions = [
                     reaction if stiff is None else stiff.capped(reaction)
                     for stiff, reaction in zip(modes, reactions, strict=True)
                 ]
-            preconditioner = Preconditioner(interface_operator(F, reactions), constraints)
+        if choice.kind != "none":
+            apply = interface_operator(F, reactions, scaling)
+            preconditioner = Preconditioner(apply, constraints, scaling)
         return DualSetup(
             local,
             constraints,
             projector,
             F,
             preconditioner,
+            choice,
             ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
+            trials,
             modes,
             system.comm.allreduce(negative),
         )
@@ -271,26 +281,28 @@ class DualSetup:
         interface, local = self.F.interface, self.local
         order = [member for congruent in local.classes for member in congruent.members]
         chosen = np.ones(len(order), dtype=bool)
+        kernels = local.on_interface(interface)
+        nodes = [system.subdomains[member].nodes.size for member in order]
+        limits = np.array([threshold(system.gdim, n) for n in nodes])
         if options.deflation == "auto":
             # rotations that the stress hardly resists make F large, too
             chosen = np.array([system.subdomains[i].is_tangent for i in order], dtype=bool)
             # with weights of 1, F measures every stiffness
             if options.scaling == "stiffness":
                 chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
+                chosen |= flexible_subdomains(
+                    self.constraints, interface, self.trials, kernels, limits, local.unit
+                )
             if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
                 return None
-        nodes = [system.subdomains[member].nodes.size for member in order]
         vectors = local_vectors(
             TornRows.build(interface, self.constraints.equality, chosen),
             interface,
             self.F.on_interface,
-            [
-                local.kernels[congruent.first][unknowns]
-                for congruent, unknowns in zip(local.classes, interface.unknowns, strict=True)
-            ],
+            kernels,
             numbers=self.constraints.layout.numbers,
             unit=local.unit,
-            limits=factor * np.array([threshold(system.gdim, n) for n in nodes]),
+            limits=factor * limits,
             negative=np.array(
                 [
                     inverse.negative
@@ -330,6 +342,51 @@ def _unstable_if(negative: int) -> Iterator[None]:
             "neither is that of the glued bodies. Take those of prepare_tangents(system, "
             "'projected'), or a smaller load step"
         ) from error
+
+
+def _trial_displacements(
+    system: TornSystem, options: Options, local: LocalSetup, F: DualOperator
+) -> list[TrialDisplacements]:
+    """Return those of each class, if there is anything to be chosen by them."""
+    if "auto" not in (options.preconditioner, options.deflation):
+        return []
+    return [
+        TrialDisplacements.build(
+            K, system.subdomains[congruent.first].coordinates_in_frame, unknowns
+        )
+        for congruent, K, unknowns in zip(
+            local.classes, local.stiffness, F.interface.unknowns, strict=True
+        )
+    ]
+
+
+def _chosen_reactions(
+    system: TornSystem,
+    options: Options,
+    local: LocalSetup,
+    F: DualOperator,
+    trials: Sequence[TrialDisplacements],
+    package: str,
+    negative: int,
+) -> tuple[Choice, list[Operator]]:
+    """Return the preconditioner of the options, or of "auto", and S of each class. Collective."""
+    choice, unknowns = Choice(options.preconditioner), F.interface.unknowns
+    kernels = [local.kernels[congruent.first] for congruent in local.classes]
+    lumped = list[Operator]()
+    if choice.kind in ("auto", "lumped"):
+        lumped = interface_reactions("lumped", unknowns, local.stiffness, kernels, package)
+    if choice.kind == "auto":
+        edges = [
+            system.subdomains[congruent.first].nodes.size ** (1.0 / system.gdim)
+            for congruent in local.classes
+        ]
+        # an indefinite interior has no Dirichlet preconditioner
+        excesses = [] if negative else list(map(lumped_excess, lumped, trials, edges))
+        choice = Choice.by_data(system.comm, local.ratios, excesses)
+    if choice.kind != "dirichlet":
+        return choice, lumped
+    with raise_collectively(system.comm), _unstable_if(negative):
+        return choice, interface_reactions("dirichlet", unknowns, local.stiffness, kernels, package)
 
 
 def _stiff_modes(

@@ -9,13 +9,21 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from bolts import CUT, LOADED, flange, preload, reference_solution
+from joined_bodies import block
 from scenes import POISSON, Scene, at, dimension
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import BoltPreload, InputError, NonlinearContactProblem
-from fenics_tfeti.io import Box
+from fenics_tfeti import (
+    BoltPreload,
+    Exact,
+    InputError,
+    NonlinearContactProblem,
+    Plane,
+    RigidBody,
+)
+from fenics_tfeti.io import Box, Interface, split_interfaces
 from fenics_tfeti.models import isotropic, neo_hookean
 
 E, FORCE = 2.1e11, 4e6
@@ -66,6 +74,18 @@ def test_bar_between_walls(cell, axis):
         np.testing.assert_allclose(walls, [-bolt.tension, bolt.tension], rtol=1e-9)
         entry = report.contacts[0]
         np.testing.assert_allclose(entry.force_on_master, -np.array(entry.force), rtol=1e-9)
+
+
+def test_report(tmp_path):
+    """Bolts have a table of their own on the page."""
+    pytest.importorskip("plotly")
+    problem = bar("quadrilateral", shortening=3e-4).problem(cell_tags=None)
+    problem.solve()
+    entry = problem.report.to_dict()["contacts"][0]
+    assert (entry["tension"], entry["shortening"]) == pytest.approx((E * 0.5 * 1e-4, 3e-4))
+    problem.report.to_html(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "<h2>Bolts</h2>" in page and "<td>0.0003</td>" in page
 
 
 def tightened(scene, force):
@@ -153,6 +173,37 @@ def test_three_bolts():
         problem.contacts[first + k] = bolts[k].locked(problem.results[bolts[k].name])
     found = [problem.results[bolt.name].shortening for bolt in bolts]
     np.testing.assert_allclose(found, together, rtol=1e-4)
+
+
+def test_rigid_body_on_a_bolted_joint():
+    """Both add bodies to those of the mesh; passes over the deformed geometry keep the force."""
+    scene = flange()
+    top = (0.0, 0.0, 1.0)
+    block = RigidBody(top, force=(0.0, 0.0, -1e6), translation=(0, 0, None), rotation=0.0)
+    scene.add_obstacle(LOADED, Plane(top, (0.0, 0.0, -1.0)), body=block)
+    contacts = [*scene.contacts, preload(scene, force=FORCE)]
+    problem = scene.problem(
+        contacts=contacts, cell_tags=None, options=OPTIONS, geometry=Exact(tolerance=1e-4)
+    )
+    problem.solve()
+    bolt, body = problem.results[-1], problem.rigid_bodies[0]
+    assert bolt.tension == pytest.approx(FORCE, rel=1e-8)
+    assert bolt.shortening > 0.0
+    assert body.force[2] == pytest.approx(1e6, rel=1e-8)
+    assert body.translation[2] < 0.0
+    assert problem.report.load.force[2] == pytest.approx(-1e6, rel=1e-8)
+
+
+def test_cut_that_does_not_go_through():
+    def tagged(x):
+        return np.isclose(x[:, 0], 0.5) & (x[:, 1] < 0.5)
+
+    whole = block("triangle", lambda x: np.ones(len(x), dtype=np.int64), tagged=tagged)
+    parts = split_interfaces(whole, [Interface(1, 1, 5, 6, facets=9)])
+    scene = Scene.of(parts)
+    message = r"bolt 0: slave and master share 1 nodes, the first at \(0.5, 0.5\). The cut does not"
+    with pytest.raises(InputError, match=message):
+        scene.problem(contacts=BoltPreload(scene.facet_tags, 5, 6, force=1.0))
 
 
 BOLT = BoltPreload(flange().facet_tags, CUT, CUT + 1, force=1.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -12,6 +14,7 @@ from sparse_rows import clamped, interpolated, random_rows, two_blocks
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.dual.preconditioner import Choice
 
 
 def sliding_column():
@@ -162,3 +165,16 @@ def test_condition_number_of_meshes_that_do_not_match(stiffness, without_W, kind
 
 def test_without_preconditioner():
     assert TornSolver(column(), Options(preconditioner="none")).setup.preconditioner is None
+
+
+@pytest.mark.parametrize(
+    ("ratio", "excess", "kind", "reason"),
+    [
+        (2.2, 1.0, "lumped", ""),
+        (2.2, 5.0, "dirichlet", "flat or graded cells at interfaces"),
+        (30.0, 1.0, "dirichlet", "nearly incompressible material"),
+    ],
+)
+def test_auto(ratio, excess, kind, reason):
+    assert Choice.by_data(MPI.COMM_WORLD, [1.0, ratio], [excess, 0.5]) == Choice(kind, reason)
+    assert Choice.by_data(MPI.COMM_SELF, [], []).kind == "lumped"

@@ -49,9 +49,9 @@ class ExteriorFacets:
         )
 
     def sizes(self) -> Vector:
-        """Return the mean edge length of each facet (f,) [m]."""
+        """Return the length of the shortest edge of each facet (f,) [m]."""
         edges = np.roll(self.corners, -1, axis=1) - self.corners
-        sizes: Vector = np.linalg.norm(edges, axis=2).mean(axis=1)
+        sizes: Vector = np.linalg.norm(edges, axis=2).min(axis=1)
         return sizes
 
     def faces(self, comm: MPI.Intracomm) -> Numbers:

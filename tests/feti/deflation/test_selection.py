@@ -8,7 +8,8 @@ from fibres import FAR, reinforced_block, subdomain
 from torn import column, fixed_nodes
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
-from fenics_tfeti.feti.deflation.material_jumps import subdomains_with_jumps
+from fenics_tfeti.feti.deflation.local_spectra import threshold
+from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
 
 
 def jumps(system: TornSystem) -> list[bool]:
@@ -52,3 +53,24 @@ def test_stiff_subdomains_do_not_count():
     for s in system.subdomains[::2]:
         s.stiffness.data *= 1e6
     assert not any(jumps(system))
+
+
+@pytest.mark.parametrize(("length", "flexible"), [(4, False), (60, True)])
+def test_slender_subdomains(length, flexible):
+    """Three layers glued along their long sides: those whose ends are free bend easily."""
+    layers = [subdomain((0, 4 * i), (length, 4), lambda x: np.ones(len(x)), i) for i in range(3)]
+    glued = [replace(s, nodes=s.nodes - i * FAR**2, body=0) for i, s in enumerate(layers)]
+    bottom = glued[0].nodes[glued[0].coordinates[:, 1] == 0.0]
+    system = TornSystem(glued, fixed_nodes(bottom, [0, 1]), ContactRows.none(2), 2, ["block"])
+    setup = TornSolver(system, Options(deflation="on")).setup
+    found = flexible_subdomains(
+        setup.constraints,
+        setup.F.interface,
+        setup.trials,
+        setup.local.on_interface(setup.F.interface),
+        np.array([threshold(2, s.nodes.size) for s in glued]),
+        setup.local.unit,
+    )
+    assert found.tolist() == [flexible] * 3
+    assert (setup.deflation is not None) == flexible
+    assert (TornSolver(system).setup.deflation is not None) == flexible

@@ -1,6 +1,8 @@
-"""Subdomains on whose interface the stiffness of the nodes jumps."""
+"""Subdomains in which directions to be deflated are looked for: by material, and by shape."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
@@ -9,6 +11,7 @@ import numpy as np
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.system import TornSystem, node_graph
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Vector
@@ -41,6 +44,38 @@ def subdomains_with_jumps(
         for k in np.flatnonzero(jumps):
             jumps[k] = _ratio_of_neighbours(system, interface, int(k), over_copies) > _JUMP
     return jumps
+
+
+def flexible_subdomains(
+    constraints: Constraints,
+    interface: Interface,
+    trials: Sequence[TrialDisplacements],
+    kernels: Sequence[Vector],
+    limits: Vector,
+    unit: float,
+) -> Mask:
+    """Tell which subdomains are so slender that some trial displacement shows a large eigenvalue.
+
+    As x'F_s x >= (x'B_s u)^2 / u'K_s u for any u, and B_s'B_s <= D, there are eigenvalues of
+    P_s F_s P_s of about (u - Ra)'D(u - Ra) / u'K_s u, with the rigid motion a that makes it least.
+    The kernels are R_s (b, k) on the interface unknowns of each class, the limits (subdomains,) are
+    tau, and unit is the stiffness that a weight of 1 stands for [N/m].
+    """
+    weights = unit * constraints.weights[interface.columns]
+    # contact rows are not deflated
+    weights[interface.matrix[np.flatnonzero(constraints.equality)].getnnz(axis=0) == 0] = 0.0
+    found = [np.zeros(0)]
+    for roots, congruent, trial, R in zip(
+        interface.blocks(np.sqrt(weights)), interface.classes, trials, kernels, strict=True
+    ):
+        # of the members, one inside the body touches most
+        root = roots.max(axis=0)[:, None]
+        Q = np.linalg.qr(root * R)[0]
+        u = root * trial.values.T
+        squares = np.sum((u - Q @ (Q.T @ u)) ** 2, axis=0)
+        found.append(np.full(congruent.members.size, trial.largest(squares)))
+    large: Mask = np.concatenate(found) > limits
+    return large
 
 
 def _ratio_of_neighbours(
