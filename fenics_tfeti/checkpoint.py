@@ -143,13 +143,14 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
     obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), own.size * gdim)
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
+    load: tuple[float, float] = tuple(file.read("load", "numbers", (2,)).tolist())
     return Step(
         nodal("displacement").ravel(),
         of_contacts("force", ()),
         SlipOrigin(nodal("slip_origin").ravel(), obstacles),
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
-        *file.read("load", "numbers", (2,)).tolist(),
+        *load,
         bodies=file.read("bodies", "numbers", (None, None)),
     )
 
