@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, field, fields, replace
 
 import numpy as np
 
@@ -37,6 +37,8 @@ class Step:
     # the load of the last of adaptive steps and the length of the next one, NaN without
     load: float = np.nan
     length: float = np.nan
+    # places of rigid bodies with finite strains, see `RigidBodies.saved`; the same on all ranks
+    bodies: Vector = field(default_factory=lambda: np.zeros((0, 0)))
 
     def accepted(self, obstacles: Vector) -> Step:
         """Return the step that follows: friction counts slip from the end of this one."""
@@ -77,6 +79,7 @@ def write_step(
                 "number": np.array(step.number),
                 "load": np.array([step.load, step.length]),
                 "passes": passes.reshape(-1, len(fields(GeometryPass))),
+                "bodies": step.bodies,
             }
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
@@ -140,13 +143,15 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
     obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), own.size * gdim)
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
+    load: tuple[float, float] = tuple(file.read("load", "numbers", (2,)).tolist())
     return Step(
         nodal("displacement").ravel(),
         of_contacts("force", ()),
         SlipOrigin(nodal("slip_origin").ravel(), obstacles),
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
-        *file.read("load", "numbers", (2,)).tolist(),
+        *load,
+        bodies=file.read("bodies", "numbers", (None, None)),
     )
 
 

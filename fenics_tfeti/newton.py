@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
+from fenics_tfeti.fem.contact.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
@@ -102,10 +103,16 @@ class NewtonStep:
 class NewtonState:
     """A displacement with the conditions, multipliers and residual there."""
 
-    displacement: Vector  # at the degrees of freedom that this rank owns [m]
+    # at the degrees of freedom that this rank owns, and of rigid bodies' corners (rank 0) [m]
+    displacement: Vector
     rows: DeformedRows
     multipliers: Multipliers
     equilibrium: Equilibrium
+
+    @property
+    def bodies(self) -> RigidBodies:
+        """The rigid bodies where they are."""
+        return self.rows.conditions.bodies
 
     def pressing(self) -> Mask:
         """Tell which slave nodes (contacts, nodes) press."""
@@ -127,16 +134,20 @@ class LoadStep:
         displacement: Vector,
         multipliers: Multipliers | Vector,
         scale: ForceScale,
+        bodies: RigidBodies,
     ) -> NewtonState:
         """Fill u, and measure surfaces and residual there. Collective.
 
-        Multipliers may be normal forces (contacts, nodes) [N].
+        Multipliers may be normal forces (contacts, nodes) [N]. The bodies are where they were
+        before the last step.
         """
-        fill_owned(self.u, displacement)
+        size = self.torn.nodes.owned * self.torn.nodes.components
+        fill_owned(self.u, displacement[:size])
+        bodies = bodies.moved(bodies.from_vector(displacement[size:]))
         ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
         if not ratio > 0.0:
             raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
-        rows = DeformedRows.of(self.torn.undeformed, self.u, self.origin)
+        rows = DeformedRows.of(self.torn.undeformed, self.u, bodies, self.origin)
         if not isinstance(multipliers, Multipliers):
             multipliers = Multipliers.from_forces(rows, multipliers)
         internal = self.torn.internal_force()
@@ -209,14 +220,20 @@ class NewtonIteration:
         changed = (multipliers.normal > 0.0) != state.pressing()
         self._alternating = changed & self._changed if self._changed.size else changed & False
         self._changed = changed
-        step = Iterate(state.displacement, owned_values(du), multipliers.flat())
+        bodies, start = state.bodies, state.bodies.motions
+        motions = state.rows.conditions.motions_after(solution.displacements)
+        turned = [end - begin for end, begin in zip(motions, start, strict=True)]
+        increment = np.concatenate([owned_values(du), bodies.as_vector(turned)])
+        step = Iterate(state.displacement, increment, multipliers.flat())
         size = self._load_step.gradients.largest_increment(
             nodes.values(self._load_step.u), nodes.values(du)
         )
+        gdim = nodes.components
+        size = max([size, *(float(np.linalg.norm(motion[gdim:])) for motion in turned)])
         limit = self._options.newton_step_limit
         length = 1.0 if size <= limit else limit / size
         mixed = self._mixed(state, step) if length == 1.0 else None
-        new, length = self._shortened(mixed or step, multipliers, length)
+        new, length = self._shortened(mixed or step, multipliers, length, bodies)
         self.steps.append(
             NewtonStep(
                 new.equilibrium.residual,
@@ -305,14 +322,14 @@ class NewtonIteration:
         return self._mixing.mix(step)
 
     def _shortened(
-        self, step: Iterate, multipliers: Multipliers, length: float
+        self, step: Iterate, multipliers: Multipliers, length: float, bodies: RigidBodies
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
         while True:
             try:
                 displacement = step.displacement + length * step.increment
                 new = multipliers.from_flat(step.multipliers)
-                return self._load_step.state_at(displacement, new, self._scale), length
+                return self._load_step.state_at(displacement, new, self._scale, bodies), length
             except (InputError, NotConverged) as error:
                 length *= 0.5
                 if length < _SHORTEST:

@@ -19,8 +19,9 @@ from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import SolvedContacts
-from fenics_tfeti.fem.contact.description import Contact, Exact, RigidObstacle, contact_name
+from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
+from fenics_tfeti.fem.contact.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
@@ -82,8 +83,9 @@ class NonlinearContactProblem:
     ----------
     u : Function
         The displacement [m].
-    results : Results
-        For each contact, by number or name, its result, as of `ContactProblem`.
+    results, rigid_bodies : Results
+        For each contact and each rigid body, by number or name, its result, as of
+        `ContactProblem`. Bodies turn by any angle; moments are about the moved reference point.
     report : NonlinearReport
         Newton steps, sizes, iterations and times, after `solve`.
 
@@ -102,6 +104,7 @@ class NonlinearContactProblem:
 
     u: Function
     results: Results
+    rigid_bodies: Results
     report: NonlinearReport
 
     def __init__(
@@ -148,7 +151,7 @@ class NonlinearContactProblem:
         self._is_solved = False
         self._solved: SolvedContacts | None = None
         self._solver: TornSolver | None = None
-        self.results = Results()
+        self.results = self.rigid_bodies = Results()
         with self._timer.phase("assembly"):
             warn_of_locking(self._torn.torn.forms, self._torn.bodies)
 
@@ -210,7 +213,7 @@ class NonlinearContactProblem:
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
         assert self._solved is not None
-        self._step = self._step.accepted(self._solved.conditions.obstacle_displacements())
+        self._step = self._step.accepted(self._solved.obstacle_displacements())
         self._is_solved = False
 
     def steps(
@@ -300,6 +303,7 @@ class NonlinearContactProblem:
     def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
         self._is_solved = False
         self._refresh()
+        bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
             self._torn,
             self.u,
@@ -308,15 +312,18 @@ class NonlinearContactProblem:
             self._gradients,
         )
         try:
-            state = load_step.state_at(owned_values(self.u), self._step.force, ForceScale())
+            start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
+            state = load_step.state_at(start, self._step.force, ForceScale(), bodies)
         except NotConverged as error:
             raise InputError(f"u cannot be the start of Newton's method: {error}") from None
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
         try:
             for state_after in iteration.run(state, monitor):
-                self._store(state, iteration)
+                self._store(state, iteration, state_after.bodies)
                 state = state_after
-                self._step = replace(self._step, displacement=state.displacement)
+                self._step = replace(
+                    self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
+                )
                 self._save(checkpoint)
         except NotConverged as error:
             if iteration.steps:
@@ -342,13 +349,17 @@ class NonlinearContactProblem:
         origin = self._step.origin.resized(len(self._torn.data.touching))
         self._step = replace(self._step, origin=origin)
 
-    def _store(self, state: NewtonState, iteration: NewtonIteration) -> None:
-        """Keep the solution that was found with the conditions of a state."""
+    def _store(self, state: NewtonState, iteration: NewtonIteration, bodies: RigidBodies) -> None:
+        """Keep the solution that was found with the conditions of a state, and has moved bodies."""
         solution = iteration.solution
-        self._solved = state.rows.conditions.solved(solution, self.u)
-        self.results = self._solved.as_given()
+        self._solved = solved = state.rows.conditions.solved(solution, self.u, bodies)
+        self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self.report = NonlinearReport.of(
-            solution.report, self.results, self.options.as_dict(), newton=list(iteration.steps)
+            solution.report,
+            self.results,
+            self.options.as_dict(),
+            newton=list(iteration.steps),
+            rigid_bodies=solved.body_results,
         )
         self._step = replace(self._step, force=self._solved.nodal_forces())
 
@@ -361,11 +372,4 @@ def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
 
 
 def _as_contacts(contacts: Any) -> list[Contact | Tie]:
-    listed = as_contacts(contacts, Exact(), "NonlinearContactProblem")
-    for number, contact in enumerate(listed):
-        if isinstance(contact, RigidObstacle) and contact.body is not None:
-            raise InputError(
-                f"{contact_name(contact, number)}: a NonlinearContactProblem has no rigid bodies "
-                "that forces move. Move the obstacle by its function, or take a ContactProblem"
-            )
-    return listed
+    return as_contacts(contacts, Exact(), "NonlinearContactProblem")

@@ -277,7 +277,7 @@ class ContactProblem:
         if not self._is_solved:
             raise InputError("there is no step to accept; call solve() before advance()")
         assert self._solved is not None
-        self._step = self._step.accepted(self._solved.conditions.obstacle_displacements())
+        self._step = self._step.accepted(self._solved.obstacle_displacements())
         self._is_solved = False
 
     def steps(
@@ -456,14 +456,14 @@ class ContactProblem:
     ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         conditions, comm = self._first_conditions(), self.space.mesh.comm
-        known = self._is_restored and not conditions.frames
+        known = self._is_restored and not conditions.bodies.frames
         passes = list(self._step.passes) if known else []
         while True:
             self._step = replace(self._step, passes=passes)
             uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
             with self._timer.phase("deformed surfaces"):
                 assert self._solved is not None
-                self._deformed, measured = conditions.deformed(uh, self._solved.places)
+                self._deformed, measured = conditions.deformed(uh, self._solved.bodies)
             products = self.report.products["total"]
             new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
@@ -480,7 +480,7 @@ class ContactProblem:
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
         undeformed = self._torn.undeformed
-        if self._is_restored and not undeformed.frames:
+        if self._is_restored and not undeformed.bodies.frames:
             uh = fill_owned(Function(self.space), self._step.displacement)
             with self._timer.phase("deformed surfaces"):
                 self._deformed, _ = undeformed.deformed(uh)
@@ -506,12 +506,12 @@ class ContactProblem:
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         self._solved = solved = conditions.solved(solution, uh)
-        self.results, self.rigid_bodies = solved.as_given(), Results(solved.bodies)
+        self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self.report = ContactReport.of(
             solution.report,
             self.results,
             self.options.as_dict(),
-            rigid_bodies=solved.bodies,
+            rigid_bodies=solved.body_results,
         )
         displacement, force = owned_values(uh), solved.nodal_forces()
         self._step = replace(self._step, displacement=displacement, force=force)

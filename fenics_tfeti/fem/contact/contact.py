@@ -172,16 +172,24 @@ def openings(
     return np.split(opening, ends[:-1]) if len(pairings) else []
 
 
-def row_values(nodes: NodeMap, rows: ContactRows, displacement: Vector) -> Vector:
+def row_values(
+    nodes: NodeMap, rows: ContactRows, displacement: Vector, beyond: Vector | None = None
+) -> Vector:
     """Return sum_k c_k'u(node_k) of rows (k,) whose nodes may be on any rank. Collective.
 
-    The displacement (n,) is at the degrees of freedom that this rank owns [m]. Nodes that are none
-    of the mesh have no part in the sums.
+    The displacement (n,) is at the degrees of freedom that this rank owns [m]; `beyond` (b, gdim)
+    are those of nodes with the numbers beyond those of the mesh, the same on all ranks. Nodes
+    beyond these have no part in the sums.
     """
+    beyond = np.zeros((0, nodes.components)) if beyond is None else beyond
     in_mesh = rows.nodes < nodes.total
-    numbers = np.where(in_mesh, rows.nodes, 0)
-    nodal = nodes.values_at(displacement.reshape(-1, nodes.components), numbers)
-    terms = np.where(in_mesh, np.sum(rows.coefficients * nodal, axis=1), 0.0)
+    nodal = np.zeros((rows.nodes.size, nodes.components))
+    nodal[in_mesh] = nodes.values_at(
+        displacement.reshape(-1, nodes.components), rows.nodes[in_mesh]
+    )
+    known = ~in_mesh & (rows.nodes < nodes.total + len(beyond))
+    nodal[known] = beyond[rows.nodes[known] - nodes.total]
+    terms = np.sum(rows.coefficients * nodal, axis=1)
     sums = np.zeros(rows.size)
     np.add.at(sums, rows.row, terms)
     return sums

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -30,6 +30,7 @@ from fenics_tfeti.fem.contact.result import (
 from fenics_tfeti.fem.contact.rigid_body import (
     BodyFrame,
     BodyPlace,
+    RigidBodies,
     RigidBody,
     RigidBodyResult,
     find_frames,
@@ -67,6 +68,14 @@ from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
+class OnBody:
+    """Where the conditions of a contact are on its rigid body, and where its slave's nodes are."""
+
+    places: Vector  # (k, gdim), less the translation of the body: its motion displaces these
+    slave: Vector  # (k, gdim)
+
+
+@dataclass(frozen=True)
 class FoundContact:
     """A contact with its conditions, of the undeformed or of the deformed surfaces."""
 
@@ -75,8 +84,7 @@ class FoundContact:
     pairing: ContactPairing
     undeformed: ContactPairing
     friction: NodalFriction | None = None  # at `pairing`
-    # (k, gdim): places of the conditions on a rigid body, without its translation; None without one
-    on_body: Vector | None = None
+    on_body: OnBody | None = None  # where the conditions are on a rigid body
 
     @property
     def contact(self) -> Contact:
@@ -103,18 +111,18 @@ class FoundContact:
             return self
         x = self.pairing.relative(nodes, nodes.coordinates)
         gap = self.pairing.gap
-        return replace(self, on_body=x + _along(self.pairing.normal, gap))
+        return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
 
-    def measured(self, uh: Function, frame: BodyFrame | None, place: BodyPlace | None) -> Any:
+    def measured(self, uh: Function, place: BodyPlace | None) -> DeformedContact:
         """Measure normals, gaps and penetration in the deformed state. Collective.
 
-        The place is that of the frame of the contact's body.
+        The place is that of the contact's body, if it has one.
         """
         contact = self.contact
-        if frame is None or place is None:
+        if place is None:
             return deformed_contact(contact, self.pairing, uh)
-        assert isinstance(contact, RigidObstacle)
-        moved = replace(contact, obstacle=place.obstacle(frame.body, contact.obstacle))
+        assert isinstance(contact, RigidObstacle) and contact.body is not None
+        moved = replace(contact, obstacle=place.obstacle(contact.body, contact.obstacle))
         return deformed_contact(moved, self.pairing, uh)
 
     def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
@@ -140,8 +148,9 @@ class ContactSet:
     contacts: list[FoundContact]
     ties: list[FoundTie]
     prescribed: Prescribed  # the supports that they were found with
-    frames: list[BodyFrame] = field(default_factory=list)  # of rigid bodies
-    places: list[BodyPlace] = field(default_factory=list)  # where these are
+    bodies: RigidBodies
+    # whether unknowns are displacements from the deformed state of the conditions
+    from_here: bool = False
 
     @property
     def pairings(self) -> list[ContactPairing]:
@@ -163,13 +172,11 @@ class ContactSet:
         """Return the conditions of all contacts, one contact after the other."""
         parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
         for found in self.contacts:
-            rows, frame = found.pairing.rows(found.number), self.frame_of(found)
-            parts.append(rows if frame is None else frame.joined(rows, _places(found)))
+            rows, k = found.pairing.rows(found.number), self.bodies.number(found.body)
+            if k is not None and found.on_body is not None:
+                rows = self.bodies.frames[k].joined(rows, found.on_body.places)
+            parts.append(rows)
         return ContactRows.concatenate(parts)
-
-    def frame_of(self, found: FoundContact) -> BodyFrame | None:
-        """Return the frame of a contact's rigid body; None without one."""
-        return next((frame for frame in self.frames if frame.body is found.body), None)
 
     def tied_rows(self) -> ContactRows:
         """Return the rows of all ties, one tie after the other."""
@@ -182,50 +189,61 @@ class ContactSet:
             ]
         )
 
-    def friction_rows(self, origin: SlipOrigin) -> Friction:
-        """Return where `rows` have friction, and from where slip is counted. Collective."""
+    def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
+        """Return where `rows` have friction, and from where slip is counted. Collective.
+
+        Unknowns are displacements from a start (n,), by default the undeformed state.
+        """
         rows = contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
-        return friction_rows(self.boundary.nodes, rows, self.pairings, self.friction, origin)
+        friction = list(self.friction)
+        for k, (found, nodal) in enumerate(zip(self.contacts, self.friction, strict=True)):
+            if found.on_body is not None and nodal is not None:
+                moved = self._slip_of_body(found, found.on_body, origin, k)
+                friction[k] = replace(nodal, obstacle_displacement=moved)
+        if start is not None:
+            origin = replace(origin, displacement=origin.displacement - start)
+        return friction_rows(self.boundary.nodes, rows, self.pairings, friction, origin)
+
+    def _slip_of_body(self, found: FoundContact, on: OnBody, origin: SlipOrigin, k: int) -> Vector:
+        """Return the displacement (k, gdim) of a body that slip is relative to. Collective.
+
+        It is what is not among the unknowns, with all but the present rotation of the slip: the
+        slave's nodes have slid from one place of the body to another.
+        """
+        number, nodes, pairing = self.bodies.number(found.body), self.boundary.nodes, found.pairing
+        assert number is not None
+        frame, place = self.bodies.frames[number], self.bodies.places[number]
+        u = origin.displacement.reshape(-1, nodes.components)
+        start = pairing.relative(nodes, nodes.coordinates + u)
+        earlier = origin.obstacles[k].reshape(-1, nodes.components)[pairing.slave - nodes.first]
+        now = place.undeformed_places(frame.body, on.slave)
+        slid = place.turn(now - (start - earlier))
+        ahead = frame.displacements(self.bodies.ahead(number, self.from_here), on.places)
+        moved: Vector = earlier + on.slave - start + ahead - slid
+        return moved
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
         space = self.boundary.space
         contacts = [found.with_friction(space, self.prescribed) for found in self.contacts]
-        return replace(self, contacts=contacts)._moved_by(
-            [frame.body.prescribed_motion for frame in self.frames]
-        )
-
-    def _moved_by(self, motions: Sequence[Vector]) -> ContactSet:
-        """Return the set with the displacements of bodies as those of their obstacles."""
-        contacts = list(self.contacts)
-        for k, found in enumerate(contacts):
-            frame = self.frame_of(found)
-            if frame is not None and found.friction is not None:
-                motion = motions[self.frames.index(frame)]
-                moved = frame.displacements(motion, _places(found))
-                friction = replace(found.friction, obstacle_displacement=moved)
-                contacts[k] = replace(found, friction=friction)
         return replace(self, contacts=contacts)
-
-    def obstacle_displacements(self) -> Vector:
-        """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-        return obstacle_displacements(self.boundary.nodes, self.pairings, self.friction)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
         """Return this rank's rigid bodies and shortenings that are unknown, with their loads now.
 
         The mesh has as many bodies as `first`, the number of the first one here.
         """
-        first += len(self.frames)
-        bodies = [s for k in self._own(self.frames) for s in self.frames[k].subdomains()]
-        preloads = self._preloads
+        bodies, preloads = self.bodies.subdomains(self.from_here), self._preloads
+        first += len(self.bodies.frames)
         return bodies + [preloads[k][1].subdomain(first + k) for k in self._own(preloads)]
 
     @property
     def added_names(self) -> list[str]:
         """The names of the bodies of all ranks that are not of the mesh, by number."""
-        bolts = [f"shortening of {tie.pairing.name}" for tie, _ in self._preloads]
-        return [*(frame.name for frame in self.frames), *bolts]
+        return [
+            *self.bodies.names,
+            *(f"shortening of {tie.pairing.name}" for tie, _ in self._preloads),
+        ]
 
     @property
     def _preloads(self) -> list[tuple[FoundTie, Preload]]:
@@ -238,62 +256,58 @@ class ContactSet:
         comm = self.boundary.nodes.comm
         return range(comm.rank, len(bodies), comm.size)
 
-    def _added_motions(
-        self, displacements: Sequence[Vector]
-    ) -> tuple[list[Vector], dict[int, float]]:
-        """Return the motions of rigid bodies, and shortenings by number of the bolt. Collective.
+    def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
+        """Return shortenings by number of the bolt. Collective.
 
         They are those of `added_subdomains`, with which the displacements of subdomains end.
         """
-        comm, frames, preloads = self.boundary.nodes.comm, self.frames, self._preloads
-        motions = np.zeros((len(frames), max((frame.body.modes for frame in frames), default=0)))
-        values = np.zeros(len(preloads))
-        added = iter(displacements[len(displacements) - len(self.added_subdomains(0)) :])
-        for k in self._own(frames):
-            # the spring of a body moves as the body does
-            motions[k], *_ = [frames[k].motion(next(added)) for _ in frames[k].templates]
-        for k in self._own(preloads):
-            values[k] = next(added) @ preloads[k][1].axis
-        comm.Allreduce(MPI.IN_PLACE, motions)
-        comm.Allreduce(MPI.IN_PLACE, values)
-        shortenings = {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
-        return list(motions), shortenings
+        preloads = self._preloads
+        values, mine = np.zeros(len(preloads)), self._own(preloads)
+        for k, displacement in zip(
+            mine, displacements[len(displacements) - len(mine) :], strict=True
+        ):
+            values[k] = displacement @ preloads[k][1].axis
+        self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
+        return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
+
+    def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
+        """Return the motions of all rigid bodies after displacements of subdomains. Collective.
+
+        The displacements end with those of `added_subdomains`.
+        """
+        bolts = len(self._own(self._preloads))
+        of_bodies = displacements[: len(displacements) - bolts]
+        return self.bodies.motions_after(of_bodies, self.from_here)
 
     def deformed(
-        self, uh: Function, places: Sequence[BodyPlace] = ()
+        self, uh: Function, bodies: RigidBodies | None = None
     ) -> tuple[ContactSet, list[DeformedContact]]:
         """Return the conditions of the deformed surfaces, and what was measured. Collective.
 
-        `places` are those of the rigid bodies. Friction is still that at the conditions before, see
-        `with_friction`.
+        The rigid bodies are by default where they were. Friction is still that at the conditions
+        before, see `with_friction`.
         """
-        measured, contacts = [], []
+        bodies, measured, contacts = bodies or self.bodies, [], []
         for found in self.contacts:
-            frame = self.frame_of(found)
-            place = None if frame is None else places[self.frames.index(frame)]
-            new = found.measured(uh, frame, place)
+            k = bodies.number(found.body)
+            new = found.measured(uh, None if k is None else bodies.places[k])
             measured.append(new)
             after = replace(found, pairing=new.pairing(found.pairing))
-            if frame is not None and place is not None:
-                after = self._at_place(after, frame, place, uh, new.distance)
-            contacts.append(after)
-        return replace(self, contacts=contacts, places=list(places)), measured
+            contacts.append(
+                after if k is None else self._on_body(after, bodies, k, uh, new.distance)
+            )
+        return replace(self, contacts=contacts, bodies=bodies), measured
 
-    def _at_place(
-        self,
-        found: FoundContact,
-        frame: BodyFrame,
-        place: BodyPlace,
-        uh: Function,
-        distance: Vector,
+    def _on_body(
+        self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
     ) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
-        nodes, pairing = self.boundary.nodes, found.pairing
-        x = nodes.coordinates + nodes.values(uh)[: nodes.owned]
-        places = pairing.relative(nodes, x) + _along(pairing.normal, distance)
-        places -= place.motion[: frame.body.gdim]
-        moved = np.sum(pairing.normal * frame.displacements(place.motion, places), axis=1)
-        return replace(found, pairing=replace(pairing, gap=pairing.gap - moved), on_body=places)
+        nodes, pairing, motion = self.boundary.nodes, found.pairing, bodies.places[k].motion
+        x = pairing.relative(nodes, nodes.coordinates + nodes.values(uh)[: nodes.owned])
+        places = x + _along(pairing.normal, distance) - motion[: nodes.components]
+        moved = np.sum(pairing.normal * bodies.frames[k].displacements(motion, places), axis=1)
+        pairing = replace(pairing, gap=pairing.gap - moved)
+        return replace(found, pairing=pairing, on_body=OnBody(places, x))
 
     def has_same_contacts(self, other: ContactSet) -> bool:
         """Tell whether another set was found for the same contacts in the same roles."""
@@ -307,18 +321,24 @@ class ContactSet:
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
-        return replace(self, contacts=contacts, places=other.places).with_friction()
+        return replace(self, contacts=contacts, bodies=other.bodies).with_friction()
 
-    def solved(self, solution: TornSolution, uh: Function) -> SolvedContacts:
-        """Return the solution at each contact and tied pair. Collective."""
+    def solved(
+        self, solution: TornSolution, uh: Function, bodies: RigidBodies | None = None
+    ) -> SolvedContacts:
+        """Return the solution at each contact and tied pair. Collective.
+
+        The rigid bodies are by default where the solution moves them.
+        """
         opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
-        motions, shortenings = self._added_motions(solution.displacements)
+        if bodies is None:
+            bodies = self.bodies.moved(self.motions_after(solution.displacements))
+        shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
-            frame = self.frame_of(found)
-            if frame is not None:
-                motion = motions[self.frames.index(frame)]
-                moved = frame.displacements(motion, _places(found))
+            k = bodies.number(found.body)
+            if k is not None and found.on_body is not None:
+                moved = bodies.frames[k].displacements(bodies.motions[k], found.on_body.places)
                 gap_after += np.sum(found.pairing.normal * moved, axis=1)
             rows = slice(row, row + found.pairing.slave.size)
             sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
@@ -331,12 +351,11 @@ class ContactSet:
             forces = solution.report.contacts[tie.number]
             values = solution.tied_force[rows]
             ties.append(self._tied_result(tie, forces, values, shortenings))
-        places = [p.moved(motion) for p, motion in zip(self.places, motions, strict=True)]
-        bodies = [
+        results = [
             self._body_result(frame, place, solution)
-            for frame, place in zip(self.frames, places, strict=True)
+            for frame, place in zip(bodies.frames, bodies.places, strict=True)
         ]
-        return SolvedContacts(self._moved_by(motions), contacts, ties, uh, bodies, places)
+        return SolvedContacts(self, contacts, ties, uh, bodies, results)
 
     def _body_result(
         self, frame: BodyFrame, place: BodyPlace, solution: TornSolution
@@ -426,8 +445,8 @@ class SolvedContacts:
     contacts: list[ContactResult]  # in the roles that are used
     ties: list[TiedResult]
     displacement: Function
-    bodies: list[RigidBodyResult]
-    places: list[BodyPlace]  # of the bodies
+    bodies: RigidBodies
+    body_results: list[RigidBodyResult]
 
     def as_given(self) -> Results:
         """Return the results by number, in the roles that the user gave."""
@@ -438,6 +457,18 @@ class SolvedContacts:
         for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
             numbered[tie.number] = tied_result
         return Results([numbered[number] for number in sorted(numbered)])
+
+    def obstacle_displacements(self) -> Vector:
+        """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
+        conditions, friction = self.conditions, list(self.conditions.friction)
+        for i, found in enumerate(conditions.contacts):
+            k, on, nodal = self.bodies.number(found.body), found.on_body, friction[i]
+            if k is not None and on is not None and nodal is not None:
+                frame, before = self.bodies.frames[k], conditions.bodies.places[k]
+                step = frame.displacements(self.bodies.motions[k] - before.motion, on.places)
+                moved = on.slave - before.undeformed_places(frame.body, on.slave) + step
+                friction[i] = replace(nodal, obstacle_displacement=moved)
+        return obstacle_displacements(conditions.boundary.nodes, conditions.pairings, friction)
 
     def nodal_forces(self) -> Vector:
         """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
@@ -489,7 +520,8 @@ class ContactSearch:
             else:
                 touching[number] = self._roles_of(contact) or Roles(contact, contact)
         with self._timer.phase("contact search"):
-            last = self._last or ContactSet(self.boundary, [], [], prescribed)
+            none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
+            last = self._last or ContactSet(self.boundary, [], [], prescribed, none)
             known = [(found.contact, found.undeformed) for found in last.contacts]
             pairings = match_contacts(
                 self.boundary,
@@ -509,10 +541,9 @@ class ContactSearch:
                 FoundTie(number, tie, self._tied(tie, number, last, prescribed))
                 for number, tie in ties.items()
             ]
-            frames = self._frames(found_contacts, last.frames, len(contacts))
-            places = [BodyPlace.undeformed(frame.body) for frame in frames]
+            bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
             found = ContactSet(
-                self.boundary, found_contacts, found_ties, prescribed, frames, places
+                self.boundary, found_contacts, found_ties, prescribed, bodies
             ).with_friction()
         self._last = found
         return found
@@ -534,10 +565,10 @@ class ContactSearch:
             case LinearRows():
                 return linear_rows(self.boundary, tie, name)
 
-    def _frames(
-        self, contacts: Sequence[FoundContact], known: Sequence[BodyFrame], bolts: int
-    ) -> list[BodyFrame]:
-        """Return the frames of the contacts' rigid bodies. Collective.
+    def _rigid_bodies(
+        self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
+    ) -> RigidBodies:
+        """Return the contacts' rigid bodies where nothing has moved. Collective.
 
         Their nodes are numbered after those of the mesh and of as many bolts.
         """
@@ -551,14 +582,15 @@ class ContactSearch:
                 )
 
         def box_of(body: RigidBody) -> Vector:
-            x = [_places(found) for found in contacts if found.body is body]
-            low, high = np.concatenate(x), np.concatenate(x)
-            box = np.array([low.min(axis=0, initial=np.inf), -high.max(axis=0, initial=-np.inf)])
+            on = [found.on_body for found in contacts if found.body is body]
+            x = np.concatenate([part.places for part in on if part is not None])
+            box = np.array([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
             comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
             return np.array([box[0], -box[1]])
 
         first = self.boundary.nodes.total + bolts, len(self._bodies.names)
-        return find_frames(bodies, box_of, first, known)
+        frames = find_frames(bodies, box_of, first, known.frames)
+        return RigidBodies(comm, gdim, frames, [BodyPlace.undeformed(body) for body in bodies])
 
     def with_roles(
         self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]
@@ -620,9 +652,3 @@ def _along(normal: Vector, distance: Vector) -> Vector:
     """Return normals (k, gdim) times distances (k,), zero for infinite ones."""
     steps: Vector = normal * np.where(np.isfinite(distance), distance, 0.0)[:, None]
     return steps
-
-
-def _places(found: FoundContact) -> Vector:
-    """Return the places of a contact's conditions on its body."""
-    assert found.on_body is not None
-    return found.on_body

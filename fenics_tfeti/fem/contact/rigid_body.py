@@ -13,6 +13,8 @@ from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property
 from typing import Any, TypeAlias
 
+from mpi4py import MPI
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
@@ -23,7 +25,7 @@ from fenics_tfeti.fem.contact.obstacles import Obstacle
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import as_coordinates, is_number
 from fenics_tfeti.feti.system import ContactRows, Subdomain
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # a number for each component or one for all; or a dolfinx Constant, read by each solve
 Components: TypeAlias = Any
@@ -191,22 +193,28 @@ class BodyPlace:
         vector: Vector = self.turned.as_rotvec()
         return vector if self.motion.size == 6 else vector[2:]
 
+    def turn(self, vectors: Vector) -> Vector:
+        """Return vectors (k, gdim) of the body as they are after its rotation."""
+        padded = np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+        turned: Vector = self.turned.apply(padded)[:, : vectors.shape[1]]
+        return turned
+
+    def undeformed_places(self, body: RigidBody, x: Vector) -> Vector:
+        """Return where the points of the body that are at x (k, gdim) now have been."""
+        back = BodyPlace(self.motion, self.turned.inv())
+        return back.turn(x - body.point - self.motion[: body.gdim]) + body.point
+
     def obstacle(self, body: RigidBody, shape: Obstacle) -> Obstacle:
         """Return the obstacle with a shape of the body that was moved here."""
-        gdim, reference = body.gdim, np.zeros(3)
-        reference[:gdim] = body.point
-        shift = np.zeros(3)
-        shift[:gdim] = self.motion[:gdim]
+        gdim = body.gdim
 
         def moved(x: Vector) -> Any:
-            back = self.turned.inv().apply((x.T - reference - shift)) + reference
-            values = shape(np.ascontiguousarray(back.T))
+            back = np.array(x)
+            back[:gdim] = self.undeformed_places(body, x[:gdim].T).T
+            values = shape(back)
             if not (isinstance(values, tuple | list) and len(values) == 2):
                 return values
-            normal = np.zeros((3, x.shape[1]))
-            given = np.asarray(values[1], dtype=float)
-            normal[: len(given)] = given
-            return values[0], self.turned.apply(normal.T).T[: len(given)]
+            return values[0], self.turn(np.asarray(values[1], dtype=float)[:gdim].T).T
 
         return moved
 
@@ -256,24 +264,42 @@ class BodyFrame:
             for s, t in zip(self.templates, other.templates, strict=True)
         )
 
+    @property
+    def nodes(self) -> Numbers:
+        """The global numbers of the corners (gdim + 1,)."""
+        return self.templates[0].nodes
+
     @cached_property
     def _motion_of_corners(self) -> Vector:
         """The matrix (modes, n) of the motion that displacements of the corners are."""
         inverse: Vector = np.linalg.pinv(_modes(self.corners - self.body.point))
         return inverse
 
-    def subdomains(self) -> list[Subdomain]:
-        """Return the body, and its spring if it has one, with the loads now."""
-        loads = [self.body.load, -self.body.stiffness @ self.body.prescribed_motion]
+    def subdomains(self, start: Vector) -> list[Subdomain]:
+        """Return the body, and its spring if it has one, with the loads now, at a motion."""
+        loads = [self.body.load, -self.body.stiffness @ self.with_prescribed(start)]
         return [
-            replace(template, load=load @ self._motion_of_corners)
+            replace(template, load=self.nodal(load))
             for template, load in zip(self.templates, loads, strict=False)
         ]
 
+    def with_prescribed(self, motion: Vector) -> Vector:
+        """Return a motion (modes,) with the prescribed components as they are now."""
+        return np.where(self.body.is_free, motion, self.body.prescribed_motion)
+
+    def nodal(self, load: Vector) -> Vector:
+        """Return forces (n,) at the corners with a resultant and a moment (modes,)."""
+        forces: Vector = load @ self._motion_of_corners
+        return forces
+
     def motion(self, displacement: Vector) -> Vector:
-        """Return the motion (modes,) of displacements of the subdomain, with the prescribed one."""
-        free: Vector = self._motion_of_corners @ displacement
-        return np.where(self.body.is_free, free, self.body.prescribed_motion)
+        """Return the motion (modes,) of displacements (n,) of the corners."""
+        motion: Vector = self._motion_of_corners @ displacement
+        return motion
+
+    def corner_displacements(self, motion: Vector) -> Vector:
+        """Return the displacements (gdim + 1, gdim) of the corners in a small motion [m]."""
+        return self.displacements(motion, self.corners)
 
     def displacements(self, motion: Vector, points: Vector) -> Vector:
         """Return the displacements (k, gdim) of points (k, gdim) in a small motion [m]."""
@@ -291,10 +317,141 @@ class BodyFrame:
         return replace(
             rows,
             offsets=rows.offsets + corners * np.arange(k + 1),
-            nodes=np.append(rows.nodes, np.tile(self.templates[0].nodes, k))[order],
+            nodes=np.append(rows.nodes, np.tile(self.nodes, k))[order],
             coefficients=np.concatenate([rows.coefficients, terms])[order],
             gap=rows.gap + np.sum(sums * moved, axis=1),
         )
+
+
+@dataclass(frozen=True)
+class RigidBodies:
+    """All rigid bodies of a problem, and where they are; the same on all ranks."""
+
+    comm: MPI.Intracomm
+    gdim: int
+    frames: Sequence[BodyFrame] = ()
+    places: Sequence[BodyPlace] = ()
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the bodies."""
+        return [frame.name for frame in self.frames]
+
+    @property
+    def motions(self) -> list[Vector]:
+        """The motion of each body."""
+        return [place.motion for place in self.places]
+
+    @property
+    def _mine(self) -> range:
+        """The numbers of this rank's bodies."""
+        return range(self.comm.rank, len(self.frames), self.comm.size)
+
+    def number(self, body: RigidBody | None) -> int | None:
+        """Return the number of a body; None for none."""
+        return next((k for k, frame in enumerate(self.frames) if frame.body is body), None)
+
+    def moved(self, motions: Sequence[Vector]) -> RigidBodies:
+        """Return the bodies after further rotations, up to sums of motions."""
+        places = [p.moved(motion) for p, motion in zip(self.places, motions, strict=True)]
+        return replace(self, places=places)
+
+    def subdomains(self, from_here: bool = False) -> list[Subdomain]:
+        """Return the subdomains of this rank, with their loads now.
+
+        Their displacements are from the undeformed state, or from the places of the bodies.
+        """
+        return [
+            subdomain
+            for k in self._mine
+            for subdomain in self.frames[k].subdomains(from_here * self.places[k].motion)
+        ]
+
+    def motions_after(
+        self, displacements: Sequence[Vector], from_here: bool = False
+    ) -> list[Vector]:
+        """Return the motions after displacements of this rank's `subdomains`. Collective.
+
+        Displacements of other subdomains may be before these.
+        """
+        motions = np.zeros((len(self.frames), 3 if self.gdim == 2 else 6))
+        position = len(displacements) - sum(len(self.frames[k].templates) for k in self._mine)
+        for k in self._mine:
+            motions[k] = self.frames[k].motion(displacements[position])
+            position += len(self.frames[k].templates)
+        self.comm.Allreduce(MPI.IN_PLACE, motions)
+        return [
+            frame.with_prescribed(motion + from_here * place.motion)
+            for frame, place, motion in zip(self.frames, self.places, motions, strict=True)
+        ]
+
+    def ahead(self, k: int, from_here: bool) -> Vector:
+        """Return the motion (modes,) of a body that is not among the unknowns, from its place."""
+        frame, here = self.frames[k], self.places[k].motion
+        start = from_here * here
+        return frame.with_prescribed(start) - here
+
+    def saved(self) -> Vector:
+        """Return the places as an array (bodies, modes + 4), of motions and quaternions."""
+        rows = [np.append(place.motion, place.turned.as_quat()) for place in self.places]
+        return np.array(rows).reshape(len(rows), -1 if rows else 0)
+
+    def restored(self, saved: Vector) -> RigidBodies:
+        """Return the bodies at saved places, or where they are if there are not as many."""
+        if len(saved) != len(self.places):
+            return self
+        places = [BodyPlace(row[:-4].copy(), Rotation.from_quat(row[-4:])) for row in saved]
+        return replace(self, places=places)
+
+    def free_displacements(self, first: int) -> Vector:
+        """Return the displacements of the corners in the free components [m].
+
+        They are rows (b, gdim) for the nodes with numbers from `first` on, zero for other nodes.
+        """
+        rows = np.zeros((self._last - first + 1 if self.frames else 0, self.gdim))
+        for frame, place in zip(self.frames, self.places, strict=True):
+            free = np.where(frame.body.is_free, place.motion, 0.0)
+            rows[frame.nodes - first] = frame.corner_displacements(free)
+        return rows
+
+    @property
+    def _last(self) -> int:
+        """The largest number of a node."""
+        return int(max(frame.nodes[-1] for frame in self.frames))
+
+    def as_vector(self, motions: Sequence[Vector]) -> Vector:
+        """Return the displacements of all corners as a vector; empty but on the first rank."""
+        if self.comm.rank:
+            return np.zeros(0)
+        moved = [
+            frame.corner_displacements(motion).ravel()
+            for frame, motion in zip(self.frames, motions, strict=True)
+        ]
+        return np.concatenate([np.zeros(0), *moved])
+
+    def from_vector(self, part: Vector) -> list[Vector]:
+        """Return the motions of a vector as of `as_vector`. Collective."""
+        whole: Vector = self.comm.bcast(part)
+        return [
+            frame.motion(x)
+            for frame, x in zip(
+                self.frames, np.split(whole, max(len(self.frames), 1)), strict=False
+            )
+        ]
+
+    def free_forces(self, forces: Vector, first: int) -> Vector:
+        """Return what load, spring and forces leave of each body's equilibrium.
+
+        The forces (b, gdim) are rows as of `free_displacements`. It is that of free components, as
+        forces (n,) at the corners [N]. Prescribed components count as reached.
+        """
+        left = [np.zeros(0)]
+        for frame, place in zip(self.frames, self.places, strict=True):
+            body, modes = frame.body, _modes(frame.corners - frame.body.point)
+            load = body.load - body.stiffness @ frame.with_prescribed(place.motion)
+            load += forces[frame.nodes - first].ravel() @ modes
+            left.append(frame.nodal(np.where(body.is_free, load, 0.0)))
+        return np.concatenate(left)
 
 
 @dataclass(frozen=True)

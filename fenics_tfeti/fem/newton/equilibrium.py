@@ -17,6 +17,7 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.contact import row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.description import ContactPair
+from fenics_tfeti.fem.contact.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
@@ -35,15 +36,19 @@ class DeformedRows:
     tied: ContactRows
 
     @staticmethod
-    def of(undeformed: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
+    def of(
+        undeformed: ContactSet, uh: Function, bodies: RigidBodies, origin: SlipOrigin
+    ) -> DeformedRows:
         """Measure the surfaces deformed by a displacement; slip is from the origin. Collective."""
-        conditions = undeformed.deformed(uh)[0].with_friction()
+        conditions = undeformed.deformed(uh, bodies)[0].with_friction()
+        conditions = replace(conditions, from_here=True)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
+        moved = row_values(nodes, contacts, u, bodies.free_displacements(nodes.total))
         return DeformedRows(
             conditions,
-            replace(contacts, gap=contacts.gap - row_values(nodes, contacts, u)),
-            conditions.friction_rows(SlipOrigin(origin.displacement - u, origin.obstacles)),
+            replace(contacts, gap=contacts.gap - moved),
+            conditions.friction_rows(origin, u),
             replace(tied, gap=tied.gap - row_values(nodes, tied, u)),
         )
 
@@ -60,14 +65,18 @@ class DeformedRows:
         return distance
 
     def pair_force(self, multipliers: Multipliers) -> Vector:
-        """Return the normal forces of contact pairs alone, as `force`. Collective."""
+        """Return the normal forces of contact pairs alone at the nodes as `force`. Collective."""
         is_pair = [isinstance(found.contact, ContactPair) for found in self.conditions.contacts]
         pressing = np.where(np.array(is_pair, dtype=bool)[:, None], multipliers.normal, 0.0)
         tangential = np.zeros_like(multipliers.tangential)
-        return self.force(Multipliers(pressing, tangential, np.zeros_like(multipliers.tied)))
+        tied = np.zeros_like(multipliers.tied)
+        return self.force(Multipliers(pressing, tangential, tied))[0]
 
-    def force(self, multipliers: Multipliers) -> Vector:
-        """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
+    def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
+        """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
+
+        With it that at the nodes (b, gdim) beyond those of the mesh, up to the last rigid body's.
+        """
         nodes = self.conditions.boundary.nodes
         slave = self.contacts.slave - nodes.first
         normal = multipliers.normal[self.contact, slave]
@@ -77,9 +86,15 @@ class DeformedRows:
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
         at = np.concatenate([rows.nodes for rows, _ in terms])
-        forces = [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
+        forces = np.concatenate(
+            [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
+        )
         in_mesh = at < nodes.total
-        return nodes.sum_at_owners(at[in_mesh], np.concatenate(forces)[in_mesh])
+        beyond = np.zeros_like(self.conditions.bodies.free_displacements(nodes.total))
+        on_bodies = ~in_mesh & (at < nodes.total + len(beyond))
+        np.add.at(beyond, at[on_bodies] - nodes.total, forces[on_bodies])
+        nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
+        return nodes.sum_at_owners(at[in_mesh], forces[in_mesh]), beyond
 
 
 @dataclass(frozen=True)
@@ -171,10 +186,12 @@ class Equilibrium:
         The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
         """
         nodes = rows.conditions.boundary.nodes
-        contact = rows.force(multipliers)
+        contact, on_bodies = rows.force(multipliers)
         free = _free(nodes, prescribed)
         r = np.where(free, internal + contact, 0.0)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
+        if nodes.comm.rank == 0:
+            squares[0] += (rows.conditions.bodies.free_forces(-on_bodies, nodes.total) ** 2).sum()
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
         finite = np.isfinite(rows.distance)
         loaded = multipliers.normal[rows.contact, rows.contacts.slave - nodes.first] > 0.0
@@ -188,7 +205,8 @@ class Equilibrium:
         nodes.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
         penetration, separation, size = largest.tolist()
         least = max(scale.force, scale.stiffness * size)
-        force = max(least, reaction, pressing, np.finfo(float).tiny)
+        # a load on a body at rest is balanced by nothing yet
+        force = max(least, reaction, pressing) or residual or float(np.finfo(float).tiny)
         size = size or np.finfo(float).tiny
         return Equilibrium(
             residual / force, penetration / size, separation / size, force, _largest(nodes, r)

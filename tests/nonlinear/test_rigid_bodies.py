@@ -1,0 +1,123 @@
+"""Rigid bodies that forces move on bodies with finite strains."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import GROUND, LOADED, Scene, at
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import Coulomb, NonlinearContactProblem, Plane, RigidBody, RigidObstacle, Sphere
+from fenics_tfeti.models import neo_hookean
+
+COMM = MPI.COMM_WORLD
+E = 1e6
+ranks = pytest.mark.ranks()
+
+
+def rubber(contacts, width=1.0, n=4):
+    """Return the problem of a soft block, clamped at its bottom, and the Scene of its mesh."""
+    marks = [(LOADED, at(1, 1.0)), (GROUND, at(1, 0.0))]
+    box = ((0.0, 0.0), (width, 1.0), (round(n * width), n))
+    scene = Scene.of_boxes(COMM, "quadrilateral", [box], marks)
+    scene.fix(GROUND)
+    u = fem.Function(scene.V)
+    energy = neo_hookean(E, 0.3)(u) * ufl.dx
+    F = ufl.derivative(energy, u, ufl.TestFunction(scene.V))
+    listed = [RigidObstacle(scene.facet_tags, LOADED, **contact) for contact in contacts]
+    return NonlinearContactProblem(F, u, bcs=scene.bcs, contacts=listed)
+
+
+class Value:
+    """What a dolfinx Constant is here: a value that the next solve reads."""
+
+    value: Any = 0.0
+
+
+def lid(**more):
+    return RigidBody((0.5, 1.0), name="lid", **more)
+
+
+TOP = Plane((0.0, 1.0), (0.0, -1.0))
+
+
+@ranks
+def test_force_and_prescribed_motion_are_inverse():
+    """A lid that prescribed motions press and turn, and the loads that these take."""
+    pushed = lid(translation=(0.0, -0.05), rotation=-0.05)
+    problem = rubber([{"obstacle": TOP, "body": pushed}], n=2)
+    problem.solve()
+    first, (held,) = problem.u.x.array.copy(), problem.rigid_bodies
+    assert held.translation == pytest.approx([0.0, -0.05])
+    assert held.rotation == pytest.approx([-0.05])
+    assert held.reaction[1] < -0.05 * E
+
+    force, moment = (
+        fem.Constant(problem.space.mesh, (0.0, 0.0)),
+        fem.Constant(problem.space.mesh, 0.0),
+    )
+    loaded = lid(force=force, moment=moment, translation=(0.0, None))
+    problem = rubber([{"obstacle": TOP, "body": loaded}], n=2)
+
+    def set_load(t):
+        force.value[:] = 0.0, t * held.reaction[1]
+        moment.value = t * held.reaction_moment[0]
+
+    for _ in problem.steps(set_load, 0.0, 1.0, first=0.5):
+        pass
+    (free,) = problem.rigid_bodies
+    assert free.translation[1] == pytest.approx(-0.05, rel=1e-4)
+    assert free.rotation[0] == pytest.approx(-0.05, rel=1e-4)
+    assert np.abs(problem.u.x.array - first).max(initial=0.0) <= 1e-4 * 0.05
+
+
+def test_wheel_rolls_on_rubber():
+    """A pressed wheel that a moment turns sticks to the rubber: it rolls by nearly R times t."""
+    radius, turns = 0.5, Value()
+    wheel = RigidBody((0.7, 1.5), force=(0.0, -0.02 * E), rotation=turns, name="wheel")
+    tyre = Sphere((0.7, 1.5), radius)
+    problem = rubber([{"obstacle": tyre, "body": wheel, "friction": Coulomb(1.0)}], width=2.0, n=6)
+
+    def set_load(t):
+        turns.value = -t
+
+    for _ in problem.steps(set_load, 0.0, 0.5, first=0.125):
+        pass
+    (result,) = problem.rigid_bodies
+    assert result.rotation[0] == pytest.approx(-0.5)
+    # the rubber under the wheel is compressed: rolling is shorter by a few per cent
+    assert 0.9 * 0.25 < result.translation[0] < 1.05 * 0.25
+    # nothing pushes it: the contact's tangential force is zero
+    assert abs(result.force[0]) < 1e-6 * E
+    assert result.force[1] == pytest.approx(0.02 * E, rel=1e-5)
+
+
+def test_restored_problem_goes_on(tmp_path):
+    """A checkpoint has the places of bodies: a new problem ends where the first one does."""
+
+    def posed():
+        force = Value()
+        force.value = (0.0, 0.0)
+        body = lid(force=force, translation=(0.0, None), rotation=0.0)
+        return force, rubber([{"obstacle": TOP, "body": body}])
+
+    force, problem = posed()
+    for share in (0.5, 1.0):
+        force.value = (0.0, -0.1 * share * E)
+        problem.solve()
+        problem.advance()
+        if share == 0.5:
+            problem.save(tmp_path / "half.npz")
+    again_force, again = posed()
+    assert again.restore(tmp_path / "half.npz") == 1
+    again_force.value = (0.0, -0.1 * E)
+    again.solve()
+    (first,), (second,) = problem.rigid_bodies, again.rigid_bodies
+    assert second.translation == pytest.approx(first.translation, rel=1e-5)
+    assert len(again.report.newton) <= len(problem.report.newton)
