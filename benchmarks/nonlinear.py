@@ -4,8 +4,8 @@
 
 Cases are those of tests/nonlinear: a block pressed in by a rigid ball by a third of its height, a
 beam bent over a cylinder, an ironed block with and without friction. A row has the Newton steps of
-each load step and, over all of them, the mean products, the factorised tangents and the largest
-number of negative directions.
+each load step and, over all of them, the mean products and the largest number of negative
+directions.
 """
 
 from __future__ import annotations
@@ -60,7 +60,6 @@ def run(cases=tuple(CASES)):
             "unknowns": unknowns["primal"],
             "newton": " ".join(str(len(of_load)) for of_load in each),
             "products": float(np.mean([step.products for step in steps])),
-            "factorised": sum(step.factorised for step in steps),
             "negative": max(step.negative for step in steps),
             "cpu": time.process_time() - start,
         }

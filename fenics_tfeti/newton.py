@@ -30,19 +30,15 @@ from fenics_tfeti.feti import (
     TornSystem,
     prepare_tangents,
 )
-from fenics_tfeti.feti.tangents import all_bodies_are_held, has_small_strains
+from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import print_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
 
 Monitor = Callable[[Any], None]
 
-# residual below which steps are mixed, and tangents kept: farther off, mixing has led beams astray,
-# and an old tangent takes them twice as many steps
-_NEAR = 0.05
-# A tangent is kept while each step reduces the residual by this factor. A block and ironing take as
-# many steps as with a new tangent in each.
-_KEPT_REDUCTION = 5.0
+# residual below which steps are mixed: farther off, mixing has led beams astray
+_MIXED_BELOW = 0.05
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 
@@ -69,8 +65,6 @@ class NewtonStep:
         Applications of F.
     mixed : bool
         Whether the step was combined with earlier ones.
-    factorised : bool
-        Whether the tangent is that at the beginning of the step, or one of an earlier step.
     negative : int
         Directions of negative energy of the torn subdomains, which deflation removes.
     seconds : float
@@ -84,18 +78,16 @@ class NewtonStep:
     active: int
     products: int
     mixed: bool
-    factorised: bool
     negative: int
     seconds: float
 
     def __str__(self) -> str:
         """Return the step as a line to read."""
         mixed = ", mixed" if self.mixed else ""
-        kept = "" if self.factorised else ", tangent kept"
         return (
             f"residual {self.residual:.1e}, penetration {self.penetration:.1e}, separation "
-            f"{self.separation:.1e}, length {self.length:.2g}{mixed}{kept}, {self.active} pressing,"
-            f" {self.products} products"
+            f"{self.separation:.1e}, length {self.length:.2g}{mixed}, {self.active} pressing, "
+            f"{self.products} products"
         )
 
 
@@ -173,9 +165,6 @@ class NewtonIteration:
         self.steps: list[NewtonStep] = []
         self._mixing = AndersonMixing(load_step.torn.nodes.comm, options.newton_anderson)
         self._increment = Function(load_step.torn.space)
-        self._is_new_tangent = True
-        self._tangent_residual = np.inf  # where the last tangent was taken
-        self._is_held: bool | None = None  # whether contact alone holds no body
         self._scale = ForceScale()
         # nodes whose contact changed in the last step, and also in the one before
         self._changed = self._alternating = np.zeros((0, 0), dtype=bool)
@@ -243,7 +232,6 @@ class NewtonIteration:
                 solution.report.unknowns["active"],
                 solution.report.products["total"],
                 mixed is not None,
-                self._is_new_tangent,
                 solution.report.deflation["negative"],
                 0.0,
             )
@@ -252,42 +240,12 @@ class NewtonIteration:
 
     def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         """Solve the contact problem for the increment, which is filled."""
-        self._is_new_tangent = not self._keeps_tangent(state)
-        if self._is_new_tangent:
-            self._tangent_residual = state.equilibrium.residual
-            solution = self._solve_with_new_tangent(state, monitor)
-        else:
-            solution = self._solve_with_last_tangent(state, monitor)
-        parts = self._load_step.torn.torn.subdomains
-        fill_displacement(self._increment, parts, solution.displacements)
-        return solution
-
-    def _keeps_tangent(self, state: NewtonState) -> bool:
-        """Tell whether the last tangent is good: it was taken near, and the residual falls fast."""
-        if len(self.steps) < 2 or not self._is_held or self._tangent_residual >= _NEAR:
-            return False
-        before, residual = self.steps[-2].residual, state.equilibrium.residual
-        return _KEPT_REDUCTION * residual <= before
-
-    def _solve_with_last_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
-        assert self.solver is not None
-        load_step, kept = self._load_step, self.solver.system.subdomains
-        system = load_step.torn.system_at(
-            load_step.u, state.rows, state.multipliers, has_small_strains, kept
-        )
-        return self._solve(system, monitor)
-
-    def _solve_with_new_tangent(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
         system = load_step.torn.system_at(
             load_step.u, state.rows, state.multipliers, has_small_strains
         )
-        if self._is_held is None:
-            # bolts are made anew in each step
-            bolts = len(system.subdomains) - len(load_step.torn.torn.subdomains)
-            self._is_held = all_bodies_are_held(system) and not system.comm.allreduce(bolts)
         solution: TornSolution | None = None
         with suppress(UnstableTangent):
             solution = self._solve(prepare_tangents(system, options.tangent), monitor)
@@ -295,6 +253,8 @@ class NewtonIteration:
             not solution.report.converged and solution.report.deflation["negative"]
         ):
             solution = self._solve_projected(system, monitor)
+        parts = load_step.torn.torn.subdomains
+        fill_displacement(self._increment, parts, solution.displacements)
         return solution
 
     def _solve_projected(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
@@ -317,7 +277,7 @@ class NewtonIteration:
         """Return the step combined with earlier ones near the end, while the same nodes press."""
         if self._load_step.torn.nodes.comm.allreduce(bool(self._changed.any()), MPI.LOR):
             self._mixing.forget()
-        if self._options.newton_anderson == 0 or state.equilibrium.residual >= _NEAR:
+        if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
             return None
         return self._mixing.mix(step)
 

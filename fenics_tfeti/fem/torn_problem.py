@@ -146,27 +146,20 @@ class TornProblem:
         rows: DeformedRows,
         multipliers: Multipliers,
         has_small_strains: Callable[[Subdomain], bool],
-        kept: Sequence[Subdomain] | None = None,
     ) -> TornSystem:
-        """Return the system for an increment of u: tangents, or kept ones, and loads. Collective.
+        """Return the system for an increment of u: tangents and loads there. Collective.
 
         The coordinates are the deformed ones, and tangents have the stiffness of the pairs' contact
         forces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        stiffnesses: list[sp.csr_matrix | None] = [None] * len(self.torn.subdomains)
-        if kept is None:
-            torn = self.torn.assemble(lambda: None)
-            stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
-        else:
-            torn = self.torn.loaded(kept)
-        subdomains = []
-        for s, x, K in zip(torn, self.torn.subdomains, stiffnesses, strict=True):
-            if not has_small_strains(x):
-                moved = x.coordinates + values[self.nodes.to_local(s.nodes)]
-                s = replace(s, coordinates=moved)
-                s = s if K is None else with_contact_stiffness(s, K)
-            subdomains.append(s)
+        subdomains = self.torn.assemble(lambda: None)
+        stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
+        for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
+            if not has_small_strains(s):
+                x = s.coordinates + values[self.nodes.to_local(s.nodes)]
+                deformed = replace(s, coordinates=x)
+                subdomains[i] = deformed if K is None else with_contact_stiffness(deformed, K)
         subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]

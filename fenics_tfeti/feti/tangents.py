@@ -97,11 +97,6 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     return replace(system, subdomains=subdomains)
 
 
-def all_bodies_are_held(system: TornSystem) -> bool:
-    """Tell whether supports and tied rows hold all bodies against rotations. Collective."""
-    return bool(_held_bodies(system, *centres_and_sizes(system)[:2]).all())
-
-
 def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     """Return a subdomain with its exact or projected tangent."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame

@@ -61,19 +61,12 @@ def test_one_load_step_gives_the_same():
     assert scene.counts()[0] <= 12
 
 
-def test_tangents_are_kept_near_the_end():
-    """As many steps as with a new tangent in each, and directions of negative energy are told."""
+def test_negative_directions_are_told():
+    """Compression drives rotations of the torn subdomains."""
     scene = indented_block(subdomain_size=200)
-    steps = []
     for load in (1 / 3, 2 / 3, 1.0):
         scene.solve([load])
-        steps.append(scene.problem.report.newton)
-    assert [len(of_load) for of_load in steps] == [5, 5, 6]
-    assert sum(step.factorised for of_load in steps for step in of_load) <= 10
-    for of_load in steps:
-        assert of_load[0].factorised and not of_load[-1].factorised
-        assert "tangent kept" in str(of_load[-1])
-        assert max(step.negative for step in of_load) > 0
+        assert max(step.negative for step in scene.problem.report.newton) > 0
 
 
 def test_nearly_incompressible():

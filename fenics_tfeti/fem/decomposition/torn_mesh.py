@@ -102,10 +102,6 @@ class TornMesh:
         with self._timer.phase("assembly"):
             return self.forms.subdomains(self._parts, known, self._nodes)
 
-    def loaded(self, known: Sequence[Subdomain]) -> list[Subdomain]:
-        """Return known subdomains, which may have other matrices, with the present loads."""
-        return self._assembled(known)
-
     def matrices(self, forms: PreparedForms) -> list[sp.csr_matrix]:
         """Return the matrices of other forms on the subdomains. Collective."""
         with self._timer.phase("assembly"):
