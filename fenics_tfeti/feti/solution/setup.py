@@ -290,9 +290,12 @@ class DualSetup:
             # with weights of 1, F measures every stiffness
             if options.scaling == "stiffness":
                 chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
-                chosen |= flexible_subdomains(
+                flexible = flexible_subdomains(
                     self.constraints, interface, self.trials, kernels, limits, local.unit
                 )
+                # F is large in the directions of soft supports: F_c would lose as many digits
+                if not system.comm.allreduce(bool(local.unknowns.grounds.any()), MPI.LOR):
+                    chosen |= flexible
             if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
                 return None
         vectors = local_vectors(
