@@ -81,7 +81,7 @@ def test_pile_of_cylinders(gdim):
 def test_roller_bearing(tmp_path):
     """32 pairs of rollers and rings: the loads of the rollers as with four named pairs.
 
-    To half a per cent of the largest: the strips that have tags are narrower than what is found.
+    To one per cent of the largest: the strips that have tags are narrower than what is found.
     """
     sys.path.insert(0, str(ROOT / "meshes"))
     from roller_bearing import roller_bearing, small_bearing
@@ -118,7 +118,7 @@ def test_roller_bearing(tmp_path):
             np.add.at(of_rollers[row], bearing.roller_of(x.T), contact.normal_force)
         loads.append(of_rollers)
     assert len(pairs) == 32
-    assert np.abs(loads[1] - loads[0]).max() < 5e-3 * loads[0].max()
+    assert np.abs(loads[1] - loads[0]).max() < 1e-2 * loads[0].max()
 
 
 @pytest.mark.heavy
