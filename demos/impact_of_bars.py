@@ -44,6 +44,7 @@ h = L / n
 bars = [Box((-L, 0), (0, h), (n, 1)), Box((0, 0), (L, h), (n, 1))]
 bodies = boxes(comm, bars, "quadrilateral")
 mesh = bodies.mesh
+mesh.topology.create_connectivity(2, 2)  # to find nodes of cells
 ends = [(body, lambda x: np.isclose(x[0], 0), body) for body in (1, 2)]
 contacts = [ContactPair(tag_facets(mesh, ends, bodies.cell_tags), slave=1, master=2)]
 V = displacement_space(mesh)

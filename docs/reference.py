@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from sphinx.application import Sphinx
+if TYPE_CHECKING:  # the tests of the pages need no Sphinx
+    from sphinx.application import Sphinx
 
 PAGES = Path(__file__).parent / "reference"
 

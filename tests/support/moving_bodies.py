@@ -80,6 +80,7 @@ def two_bars(n, courant, alpha=-0.05, comm=MPI.COMM_SELF, options=None, redistri
         courant * h,
         alpha,
     )
+    V.mesh.topology.create_connectivity(2, 2)
     moving = fem.locate_dofs_topological(V.sub(0), 2, bodies.cell_tags.find(1))
     motion.v.x.array[moving] = SPEED
     momenta = [fem.form(rho * motion.v[0] * dx(body)) for body in (1, 2)]

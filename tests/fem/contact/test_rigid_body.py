@@ -108,7 +108,7 @@ def test_eccentric_force_with_lift_off(gdim, bend):
     problem = scene.problem(options={"rtol": 1e-9})
     uh = problem.solve()
     u, top, p, motion = dense_solution(scene, body, shape)
-    assert 0 < np.count_nonzero(p > 0.0) < p.size
+    assert 0 < np.count_nonzero(p > 1e-9 * p.max()) < p.size
     assert np.abs(uh.x.array - u).max() <= 1e-6 * np.abs(u).max()
     joint, result = problem.results["joint"], problem.rigid_bodies["punch"]
     assert np.array_equal(joint.dofs, top)
