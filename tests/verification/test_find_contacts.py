@@ -79,10 +79,7 @@ def test_pile_of_cylinders(gdim):
 
 @pytest.mark.heavy
 def test_roller_bearing(tmp_path):
-    """32 pairs of rollers and rings: the loads of the rollers as with four named pairs.
-
-    To one per cent of the largest: the strips that have tags are narrower than what is found.
-    """
+    """32 pairs of rollers and rings: loads as with four named pairs, to one per cent."""
     sys.path.insert(0, str(ROOT / "meshes"))
     from roller_bearing import roller_bearing, small_bearing
 
