@@ -91,6 +91,9 @@ _NEVER = 2**62
 _TRY_METIS = 3000
 # option for CHOLMOD's number of orderings to choose from: a given one, if any, AMD's, METIS'
 _ORDERINGS = "mat_cholmod_nmethods"
+# option for what CHOLMOD prints: at 0 no line for a matrix that is not positive definite, which is
+# an error of ours
+_PRINT = "mat_cholmod_print"
 # MPI communicators that have to be free for another factor by MUMPS: it takes 5, dolfinx a few
 _COMMUNICATORS = 16
 # numbers of MUMPS' INFOG
@@ -287,7 +290,10 @@ class _PetscFactor:
         A = _petsc_matrix(matrix)
         pc = _petsc_cholesky(A, package, definite)
         try:
-            with _orderings(pc, matrix.shape[0], quick and package == "cholmod"), one_thread():
+            with (
+                _cholmod_options(pc, matrix.shape[0], quick and package == "cholmod"),
+                one_thread(),
+            ):
                 pc.setUp()
             self._factor = pc.getFactorMatrix()
         except PETSc.Error as error:
@@ -323,19 +329,22 @@ class _PetscFactor:
 
 
 @contextmanager
-def _orderings(pc: PETSc.PC, size: int, quick: bool) -> Iterator[None]:
-    """Choose how CHOLMOD orders a large matrix, unless the user has set the option."""
+def _cholmod_options(pc: PETSc.PC, size: int, quick: bool) -> Iterator[None]:
+    """Choose what CHOLMOD prints and how it orders large matrices, unless the user has."""
     options = PETSc.Options()
-    if size < _TRY_METIS or options.hasName(_ORDERINGS):
-        yield
-        return
-    if quick:
+    chosen = {_PRINT: 0}
+    if size >= _TRY_METIS:
+        chosen[_ORDERINGS] = 1 if quick else 3
+    chosen = {name: value for name, value in chosen.items() if not options.hasName(name)}
+    if quick and _ORDERINGS in chosen:
         pc.setFactorOrdering("nd")
-    options[_ORDERINGS] = 1 if quick else 3
+    for name, value in chosen.items():
+        options[name] = value
     try:
         yield
     finally:
-        options.delValue(_ORDERINGS)
+        for name in chosen:
+            options.delValue(name)
 
 
 def _require_communicators() -> None:

@@ -82,6 +82,14 @@ def test_matrix_that_is_not_positive_definite_is_refused(package, matrix):
         SparseCholesky(matrix, package)
 
 
+@each_package
+def test_refusal_of_a_dense_matrix_prints_nothing(package, capfd):
+    """CHOLMOD's supernodal factor would tell by a line of its own."""
+    with pytest.raises(FactorizationError):
+        SparseCholesky(sp.csr_matrix(np.ones((200, 200)) - 0.5 * np.eye(200)), package)
+    assert capfd.readouterr() == ("", "")
+
+
 @pytest.mark.parametrize("package", [p for p in available_packages() if p != "cholmod"])
 def test_one_negative_eigenvalue_of_many_is_found(package):
     """PETSc's CHOLMOD factors small matrices as LDL' and does not tell the signs of D."""
