@@ -118,8 +118,8 @@ for share, style in ((0.0, "s"), (0.4, "o"), (0.75, "^")):
     if comm.rank == 0:
         width = np.ptp(x[touching.active]) / a
         compared = f", formula {1e3 * tilt:.3f} mrad" if e else ""
-        turned = 1e3 * motion.rotation[0]
-        print(f"e = {share:g} a: {width:.2f} a touch, tilts by {turned + 0.0:.3f} mrad{compared}")
+        turned = round(1e3 * motion.rotation[0], 3) + 0.0
+        print(f"e = {share:g} a: {width:.2f} a touch, tilts by {turned:.3f} mrad{compared}")
 
 # ## Picture
 
