@@ -48,7 +48,10 @@ def test_tangents_in_the_plane():
 
 @pytest.fixture(params=[None, 4], ids=["ground", "mortar"])
 def pushed(request):
-    scene = pushed_cube("triangle", 5, request.param, friction=Tresca(0.035))
+    # a further step at rest has forces at their bounds without slip: the bound of its error is the
+    # root of a difference of energies that rounding makes, about 1e-8
+    options = {"rtol": 1e-7}
+    scene = pushed_cube("triangle", 5, request.param, friction=Tresca(0.035), options=options)
     return scene, scene.problem.solve()
 
 
