@@ -14,7 +14,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
-from fenics_tfeti.fem.contact.rigid_body import RigidBodies
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients

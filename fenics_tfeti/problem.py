@@ -29,7 +29,7 @@ from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties import Tie
+from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,

@@ -1,5 +1,6 @@
-"""Arrays by the type of their entries; shapes are stated where they are used."""
+"""Arrays by the type of their entries, whose shapes are stated where they are used; operators."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,3 +12,5 @@ Points = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Indices = NDArray[np.int32]
 Mask = NDArray[np.bool_]
+# a linear map, applied to a vector
+Operator = Callable[[Vector], Vector]

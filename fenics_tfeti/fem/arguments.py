@@ -21,7 +21,7 @@ from fenics_tfeti.fem.contact.description import (
     Exact,
     contact_name,
 )
-from fenics_tfeti.fem.contact.ties import Tie
+from fenics_tfeti.fem.contact.ties.description import Tie
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
 from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties import Tie
+from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh

@@ -17,8 +17,15 @@ from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
-from fenics_tfeti.fem.contact.matched import linear_rows, periodic_rows, preload_rows
 from fenics_tfeti.fem.contact.matching import match_contacts
+from fenics_tfeti.fem.contact.obstacles.rigid_body import (
+    BodyFrame,
+    BodyPlace,
+    RigidBodies,
+    RigidBody,
+    RigidBodyResult,
+    find_frames,
+)
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.result import (
     BoltResult,
@@ -26,14 +33,6 @@ from fenics_tfeti.fem.contact.result import (
     ContactResult,
     Results,
     TiedResult,
-)
-from fenics_tfeti.fem.contact.rigid_body import (
-    BodyFrame,
-    BodyPlace,
-    RigidBodies,
-    RigidBody,
-    RigidBodyResult,
-    find_frames,
 )
 from fenics_tfeti.fem.contact.roles import (
     Roles,
@@ -53,8 +52,15 @@ from fenics_tfeti.fem.contact.slip import (
     obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, tie_surfaces
-from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair, Tie, tie_name
+from fenics_tfeti.fem.contact.ties.description import (
+    BoltPreload,
+    LinearRows,
+    PeriodicPair,
+    Tie,
+    tie_name,
+)
+from fenics_tfeti.fem.contact.ties.matched import linear_rows, periodic_rows, preload_rows
+from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing, tie_surfaces
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values

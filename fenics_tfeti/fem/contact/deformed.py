@@ -21,7 +21,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
-from fenics_tfeti.fem.contact.obstacle_conditions import deformed_gaps
+from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets

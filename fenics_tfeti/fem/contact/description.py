@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.obstacles import Obstacle
-from fenics_tfeti.fem.contact.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.obstacles.shapes import Obstacle
 from fenics_tfeti.fem.user_data import (
     ScalarField,
     VectorField,

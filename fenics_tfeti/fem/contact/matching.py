@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.description import (
 )
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
 from fenics_tfeti.fem.contact.nodes.pairing import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.obstacle_conditions import match_obstacle
+from fenics_tfeti.fem.contact.obstacles.conditions import match_obstacle
 from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.rigid_body import RigidBodyResult
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodyResult
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector

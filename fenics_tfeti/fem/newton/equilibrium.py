@@ -17,7 +17,7 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.contact import row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.description import ContactPair
-from fenics_tfeti.fem.contact.rigid_body import RigidBodies
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap

@@ -25,7 +25,7 @@ from fenics_tfeti import (
     Tresca,
 )
 from fenics_tfeti.fem.contact.description import contact_name
-from fenics_tfeti.fem.contact.ties import tie_name
+from fenics_tfeti.fem.contact.ties.description import tie_name
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
 TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags

@@ -13,8 +13,8 @@ from scenes import GROUND, at, normal_forces, pressed_block
 
 from fenics_tfeti import Cylinder, Exact, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact import obstacles
 from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.obstacles import shapes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import contact_fields, tag_facets, write_fields
 
@@ -29,7 +29,7 @@ def matched(obstacle, cell="quadrilateral", gap=0.0):
 
 
 def test_examples_of_the_docstrings():
-    failed, tried = doctest.testmod(obstacles)
+    failed, tried = doctest.testmod(shapes)
     assert (failed, tried > 5) == (0, True)
 
 

@@ -14,7 +14,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
-from fenics_tfeti.fem.contact.obstacles import gap_and_normal
+from fenics_tfeti.fem.contact.obstacles.shapes import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.typing import Vector

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.obstacles import Obstacle
+from fenics_tfeti.fem.contact.obstacles.shapes import Obstacle
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import as_coordinates, is_number
 from fenics_tfeti.feti.system import ContactRows, Subdomain

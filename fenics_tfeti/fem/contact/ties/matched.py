@@ -14,8 +14,8 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
-from fenics_tfeti.fem.contact.tied import Preload, TiedPairing, check_separate
-from fenics_tfeti.fem.contact.ties import BoltPreload, LinearRows, PeriodicPair
+from fenics_tfeti.fem.contact.ties.description import BoltPreload, LinearRows, PeriodicPair
+from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing, check_separate
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at

@@ -1,0 +1,1 @@
+"""Rigid obstacles: their shapes, their conditions, and bodies that move with them."""

@@ -1,0 +1,1 @@
+"""Surfaces and degrees of freedom that stay together: ties, periodic pairs, bolts, any rows."""
