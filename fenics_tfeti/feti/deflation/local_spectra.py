@@ -14,7 +14,7 @@ buckling of the torn subdomain make isolated eigenvalues, large in magnitude.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,9 +24,7 @@ from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.tolerances import ZERO
-from fenics_tfeti.typing import Mask, Numbers, Vector
-
-Operator = Callable[[Vector], Vector]
+from fenics_tfeti.typing import Mask, Numbers, Operator, Vector
 
 # columns of a block and number of products with it: as many vectors as 32 steps of the Lanczos
 # method for the price of ten, since right-hand sides share the factors

@@ -23,7 +23,7 @@ K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -40,9 +40,8 @@ from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Numbers, Operator, Vector
 
-Operator = Callable[[Vector], Vector]
 DeflationKind = Literal["auto", "on", "off"]
 
 # vectors of all ranks: U'FU is a dense matrix on each of them, here of 72 MB

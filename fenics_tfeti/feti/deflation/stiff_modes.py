@@ -15,7 +15,7 @@ neighbours depend on each other so nearly that accuracy is lost.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,9 +26,7 @@ from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.tolerances import ZERO
-from fenics_tfeti.typing import Numbers, Vector
-
-Operator = Callable[[Vector], Vector]
+from fenics_tfeti.typing import Numbers, Operator, Vector
 
 # the largest theta in the preconditioner: 30 to 100 take about as many products
 CAP = 50.0

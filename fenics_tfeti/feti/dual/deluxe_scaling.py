@@ -15,7 +15,7 @@ no row have a zero there.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,9 +27,7 @@ from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.local.cholesky import SparseCholesky
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
-from fenics_tfeti.typing import Mask, Vector
-
-Operator = Callable[[Vector], Vector]
+from fenics_tfeti.typing import Mask, Operator, Vector
 
 # modes of all ranks: A is factored on each of them for each face, which takes 0.3 s where 144 boxes
 # of 8 x 8 x 6 hexahedra have 5760

@@ -28,9 +28,8 @@ from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.tolerances import ZERO
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Operator, Vector
 
-Operator = Callable[[Vector], Vector]
 PreconditionerKind = Literal["auto", "lumped", "dirichlet", "none"]
 
 # bulk over shear modulus from which on the Dirichlet preconditioner takes less time: Poisson's

@@ -35,7 +35,6 @@ from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
     Choice,
-    Operator,
     Preconditioner,
     interface_operator,
     interface_reactions,
@@ -55,7 +54,7 @@ from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Operator, Vector
 
 # factors of the threshold of deflated eigenvalues, tried until U'FU has all negative ones
 _LIMITS = (1.0, 0.01)
