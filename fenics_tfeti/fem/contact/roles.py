@@ -7,13 +7,13 @@ found from the stiffness matrices: their diagonal entries are about E h^(d - 2) 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -110,12 +110,11 @@ def describe_roles(
 def warn_of_roles(name: str, ratio: float) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
     if 1.0 + ratio > _LARGE_CONDITION:
-        warnings.warn(
+        warn_user(
             f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
             f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "
             "may cost iterations. Exchange slave and master; roles='auto' does it, unless data of "
             "the contact belong to the given slave",
-            stacklevel=2,
         )
 
 
