@@ -1,7 +1,7 @@
 """Choice of the slave of mortar conditions among two surfaces.
 
 The condition number of the rows is about 1 + E_s h_m / (E_m h_s), with Young's moduli E and sizes h
-of the facets of slave and master: the slave is better the surface with the smaller E / h. It is
+of the facets of slave and master: the slave should be the surface with the smaller E / h. It is
 found from the stiffness matrices: their diagonal entries are about E h^(d - 2) in d dimensions.
 """
 
@@ -111,10 +111,10 @@ def warn_of_roles(name: str, ratio: float) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
     if 1.0 + ratio > _LARGE_CONDITION:
         warn_user(
-            f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
-            f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "
-            "may cost iterations. Exchange slave and master; roles='auto' does it, unless data of "
-            "the contact belong to the given slave",
+            f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
+            f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "
+            "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
+            "data of the contact belong to the given slave",
         )
 
 
