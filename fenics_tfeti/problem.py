@@ -262,9 +262,8 @@ class ContactProblem:
             self._is_solved = True
             if not self._has_warned:
                 of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
-                energy = np.zeros(len(of_mesh.names))
-                for body in range(of_mesh.deformable):
-                    energy[body] = certified[body].energy_norm ** 2
+                energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
+                energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
@@ -436,8 +435,7 @@ class ContactProblem:
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
     ) -> Function:
-        friction = conditions.friction_rows(self._step.origin)
-        system = replace(self.system, contacts=conditions.rows(), friction=friction)
+        system = self._torn.system(self._step.origin, conditions)
         guess = self._guess(coarse, conditions)
         options = self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 
 from mpi4py import MPI
 
@@ -21,7 +22,7 @@ _LARGE = 0.1
 _SHARE = 0.1
 
 
-def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Vector) -> bool:
+def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
     """Warn, on rank 0, if displacement gradients are large in cells that carry load. Collective.
 
     They are those at the midpoints. Bodies without strain energy [J] may turn as far as they like.
@@ -38,7 +39,7 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Vector) -> boo
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
     # the strain energy in large cells, as a share of that of all bodies
     share = np.divide(sums[1], sums[0], out=np.zeros_like(largest), where=sums[0] > 0.0)
-    share *= energy / max(energy.sum(), np.finfo(float).tiny)
+    share *= np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
     if share.sum() <= _SHARE:
         return False
     worst = int(share.argmax())

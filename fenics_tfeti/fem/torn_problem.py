@@ -138,9 +138,13 @@ class TornProblem:
         """Fill a displacement at nodes of rigid bodies, of small rotations or any. Collective."""
         return self._search.rigid.fill(uh, bodies, is_small)
 
-    def system(self, origin: SlipOrigin) -> TornSystem:
-        """Return the torn system, with slip counted from its origin. Collective."""
-        return self._system(self.undeformed, self.undeformed.friction_rows(origin))
+    def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
+        """Return the torn system, with slip counted from its origin. Collective.
+
+        The conditions are by default those of the undeformed surfaces.
+        """
+        conditions = conditions or self.undeformed
+        return self._system(conditions, conditions.friction_rows(origin))
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
