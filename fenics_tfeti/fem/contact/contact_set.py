@@ -406,7 +406,7 @@ class ContactSet:
                 solution.sticking[sites],
                 solution.slip_bound[sites],
             ),
-            comm=self.boundary.space.mesh.comm,
+            comm=self.boundary.nodes.comm,
         )
 
     def _tied_result(
@@ -434,7 +434,7 @@ class ContactSet:
             force,
             force / tie.area[:, None],
             tie.area,
-            self.boundary.space.mesh.comm,
+            self.boundary.nodes.comm,
         )
 
     def _dofs(self, nodes: Numbers) -> Numbers:
