@@ -154,7 +154,7 @@ class TornProblem:
             self.space.mesh.geometry.dim,
             [*self.bodies.names[: self.bodies.deformable], *conditions.added_names],
             conditions.names,
-            self.space.mesh.comm,
+            self.nodes.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
             conditions.tied_rows(),
             friction,
