@@ -26,7 +26,12 @@ SIDES = {"holes": {}, "pin": {"exchange": True}, "auto": {"roles": "auto"}}
 
 @pytest.fixture(
     scope="module",
-    params=[*((1, side) for side in SIDES), (2, "pin")],
+    params=[
+        (1, "holes"),
+        (1, "pin"),
+        pytest.param((1, "auto"), marks=pytest.mark.heavy),
+        pytest.param((2, "pin"), marks=pytest.mark.heavy),
+    ],
     ids=lambda param: f"{param[1]}, degree {param[0]}",
 )
 def solved(request):
