@@ -52,7 +52,7 @@ def test_problem_that_needs_a_mechanism(seed):
     ("level", "count"),
     [
         pytest.param("feti", 50, marks=pytest.mark.once),
-        ("mesh", 12),
+        ("mesh", 15),
         pytest.param("feti", 160, marks=pytest.mark.heavy),
         pytest.param("mesh", 40, marks=pytest.mark.heavy),
     ],
