@@ -61,14 +61,7 @@ def launched(ranks: int, *arguments: object) -> int:
 
 @pytest.mark.parametrize(
     ("ranks", "later", "dies_in"),
-    [
-        (1, 1, (0, 1)),
-        (1, 1, (1, 3)),
-        (1, 1, (2, 0)),
-        (2, 2, (1, 3)),
-        (2, 1, (1, 3)),
-        (1, 3, (2, 0)),
-    ],
+    [(1, 1, (0, 1)), (1, 1, (2, 0)), (2, 3, (1, 3))],
 )
 def test_killed_run_goes_on(path, whole, ranks, later, dies_in):
     """SIGKILL in a pass: the step begins again with that pass, and the rest is the same."""
@@ -129,8 +122,8 @@ def test_forces_of_all_nodes_are_in_the_checkpoint(path):
     again = block_on_disc(block(COMM), floor)
     again.restore(path)
     force = problem._step.force
-    assert (force[0, nodes] > 0.0).all()
-    np.testing.assert_array_equal(again._step.force, force)
+    assert (force.at(0, nodes) > 0.0).all()
+    np.testing.assert_array_equal(again._step.force.at(0, nodes), force.at(0, nodes))
 
 
 def test_interruption_writes_the_checkpoint(path):
