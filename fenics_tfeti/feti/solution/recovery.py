@@ -200,7 +200,8 @@ def close_constraints(
     B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential rows that share a
     node. Where friction is at its bound the part of the slip is removed that is not along the
     force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of rows that
-    share a node all of the slip, on the same condition. A weight of 1 stands for the stiffness `unit` [N/m].
+    share a node all of the slip, on the same condition. A weight of 1 stands for the stiffness
+    `unit` [N/m].
     """
     constraints, rows = F.constraints, F.constraints.inequality
     jump = F.jumps(torn) - c
