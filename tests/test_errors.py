@@ -17,6 +17,7 @@ from scenes import two_beams
 
 import fenics_tfeti
 from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 
 COMM = MPI.COMM_WORLD
@@ -137,3 +138,13 @@ def test_point_in_a_message_has_no_rounding_errors(point, written):
 
 def test_coordinate_that_is_small_against_the_surroundings_is_zero():
     assert format_point((1.4e-17, -3e-18), size=2.0) == "(0, 0)"
+
+
+def test_warnings_have_the_place_of_the_users_line():
+    """And not one inside the package: here of the call of a function that warns."""
+    with pytest.warns(UserWarning, match="interference of the mesh") as caught:
+        warn_of_deviation(
+            dict.fromkeys(("contact", "smallest_gap", "largest_gap"), 0.0)
+            | {"blurred": 1.0, "mean_gap": -0.1, "deviation": 0.2}
+        )
+    assert caught[0].filename == __file__
