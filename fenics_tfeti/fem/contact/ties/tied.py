@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
+from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.description import TiedPair
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
@@ -163,18 +164,6 @@ def tie_surfaces(
         summary,
         slave,
         fixed,
-    )
-
-
-def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
-    """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
-    raise_where(
-        slave.comm,
-        np.isin(slave.nodes, master),
-        slave.points,
-        lambda number, place: (
-            f"{name}: slave and master share {number} nodes, the first at {place}. {remedy}"
-        ),
     )
 
 
