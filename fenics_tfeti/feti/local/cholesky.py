@@ -84,6 +84,14 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
     )
 
 
+def describe_package(package: str) -> str:
+    """Return the name of a package, with what CHOLMOD's factors are applied by."""
+    if package != "cholmod":
+        return package
+    library, reason = supernodal_library()
+    return "cholmod, compiled solves" if library else f"cholmod, solves by PETSc: {reason}"
+
+
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
 # more work than any solve has: rslab's solves stay on the thread that calls them

@@ -57,7 +57,8 @@ class SupernodalFactor:
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
-        return self._solved(self._places, np.ascontiguousarray(b, dtype=np.float64)[None])[0]
+        x: Vector = self._solved(self._places, np.ascontiguousarray(b, dtype=np.float64)[None])[0]
+        return x
 
     def solve_columns(self, b: Vector) -> Vector:
         """Solve for the columns of a matrix (n, k) in Fortran order."""
