@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass, field, fields, replace
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues
 from fenics_tfeti.fem.contact.deformed import GeometryPass
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.nodes import NodeMap
@@ -30,7 +30,7 @@ class Step:
     """A load step as far as it was solved: where later solves start, saved and restored."""
 
     displacement: Vector  # the last one, at owned degrees of freedom [m]
-    force: Vector  # (contacts, nodes), the last normal forces at owned nodes [N]
+    force: SlaveValues  # (k,): the last normal forces [N]
     origin: SlipOrigin  # from where friction counts slip
     number: int = 0  # of accepted steps
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
@@ -40,19 +40,25 @@ class Step:
     # places of rigid bodies with finite strains, see `RigidBodies.saved`; the same on all ranks
     bodies: Vector = field(default_factory=lambda: np.zeros((0, 0)))
 
-    def accepted(self, obstacles: Vector) -> Step:
+    @staticmethod
+    def at(origin: SlipOrigin) -> Step:
+        """Return the step before the first one."""
+        return Step(origin.displacement, SlaveValues.of([]), origin)
+
+    def of_first(self, contacts: int) -> Step:
+        """Return the step without contacts that are no longer there."""
+        origin = replace(self.origin, obstacles=self.origin.obstacles.of_first(contacts))
+        return replace(self, force=self.force.of_first(contacts), origin=origin)
+
+    def accepted(self, obstacles: SlaveValues) -> Step:
         """Return the step that follows: friction counts slip from the end of this one."""
         origin = SlipOrigin(self.displacement, obstacles)
         return replace(self, origin=origin, number=self.number + 1)
 
     def guess(self, pairings: Sequence[ContactPairing], first_node: int) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
-        forces = [np.zeros(0)]
-        forces += [
-            nodal[pairing.slave - first_node]
-            for nodal, pairing in zip(self.force, pairings, strict=True)
-        ]
-        force = np.concatenate(forces)
+        forces = [self.force.at(k, p.slave - first_node) for k, p in enumerate(pairings)]
+        force = np.concatenate([np.zeros(0), *forces])
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 
@@ -87,19 +93,18 @@ def write_step(
 def _arrays(step: Step, nodes: NodeMap) -> dict[str, Array]:
     """Return this rank's part of a file: values at all nodes, and at some of each contact."""
     numbers, n, gdim = nodes.input_numbers, nodes.owned, nodes.components
-    obstacles = step.origin.obstacles.reshape(len(step.origin.obstacles), n, gdim)
-    pressed, displaced = np.nonzero(step.force), np.nonzero(obstacles.any(axis=2))
+    force, obstacle = step.force, step.origin.obstacles
     return {
         "numbers": numbers,
         "coordinates": nodes.coordinates,
         "displacement": step.displacement.reshape(n, gdim),
         "slip_origin": step.origin.displacement.reshape(n, gdim),
-        "force": step.force[pressed],
-        "force_contact": pressed[0],
-        "force_node": numbers[pressed[1]],
-        "obstacle": obstacles[displaced],
-        "obstacle_contact": displaced[0],
-        "obstacle_node": numbers[displaced[1]],
+        "force": force.values,
+        "force_contact": force.contact,
+        "force_node": numbers[force.nodes],
+        "obstacle": obstacle.values,
+        "obstacle_contact": obstacle.contact,
+        "obstacle_node": numbers[obstacle.nodes],
     }
 
 
@@ -129,25 +134,23 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         raise _of_another_problem(file, "coordinates")
     order = np.argsort(own)
 
-    def of_contacts(name: str, shape: tuple[int, ...]) -> Vector:
+    def of_contacts(name: str, *shape: int) -> SlaveValues:
         node = file.read(f"{name}_node", "integers", (None,))
         contact = file.read(f"{name}_contact", "integers", (node.size,))
         entries = file.read(name, "numbers", (node.size, *shape))
         if np.any((contact < 0) | (contact >= len(contacts))):
             raise InputError(f"{file.path}: the array '{name}_contact' has numbers of no contact")
-        values = np.zeros((len(contacts), own.size, *shape))
         row = _positions(own[order], node)
-        values[contact[row >= 0], order[row[row >= 0]]] = entries[row >= 0]
-        return values
+        here = row >= 0
+        return SlaveValues(contact[here], order[row[here]], entries[here])
 
-    obstacles = of_contacts("obstacle", (gdim,)).reshape(len(contacts), own.size * gdim)
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
     load: tuple[float, float] = tuple(file.read("load", "numbers", (2,)).tolist())
     return Step(
         nodal("displacement").ravel(),
-        of_contacts("force", ()),
-        SlipOrigin(nodal("slip_origin").ravel(), obstacles),
+        of_contacts("force"),
+        SlipOrigin(nodal("slip_origin").ravel(), of_contacts("obstacle", gdim)),
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
         *load,

@@ -1,90 +1,219 @@
-"""Load steps whose length follows from how hard they are."""
+"""Load steps: accepted, saved and restored, and of a length that follows their cost."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any
 
-from fenics_tfeti.checkpoint import Step
+from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
+from fenics_tfeti.fem.contact.contact_set import SolvedContacts
+from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
+from fenics_tfeti.fem.torn_problem import TornProblem
 
 # shortest step, as a share of all; no shorter rest is left
 _SHORTEST = 1e-3
 
 
-class SteppedProblem(Protocol):
-    """A problem that is solved in load steps."""
+class SteppedProblem:
+    """A contact problem that is solved in load steps."""
 
     u: Any
+    results: Results
+    rigid_bodies: Results
+
+    _torn: TornProblem
     _step: Step
+    _is_solved = _is_restored = False
+    _solved: SolvedContacts | None = None
 
     def solve(self) -> Any:
         """Solve at the present loads."""
+        raise NotImplementedError
 
     def advance(self) -> None:
-        """Accept the last solve as a load step."""
+        """Accept the last solve as a load step: friction counts slip from its end.
 
+        Raises
+        ------
+        InputError
+            If nothing was solved since the last step.
 
-def load_steps(
-    problem: SteppedProblem,
-    set_load: Callable[[float], Any],
-    begin: float,
-    end: float,
-    first: float | None,
-    is_easy: Callable[[], bool],
-    is_restored: bool = False,
-) -> Iterator[float]:
-    """Solve and accept load steps from `begin` to `end`, see `NonlinearContactProblem.steps`.
+        Examples
+        --------
+        >>> for load.value in loads:  # doctest: +SKIP
+        ...     problem.solve()
+        ...     problem.advance()
+        """
+        if not self._is_solved:
+            raise InputError("there is no step to accept; call solve() before advance()")
+        assert self._solved is not None
+        self._step = self._step.accepted(self._solved.obstacle_displacements())
+        self._is_solved = False
 
-    A restored problem goes on after the load of its checkpoint.
-    """
-    length = end - begin if first is None else first
-    if not (begin < end and length > 0.0):
-        raise InputError(
-            f"load steps from {begin:g} to {end:g}, the first of {length:g}: the end has to be "
-            "after the beginning, and the first step longer than 0"
-        )
-    t, easy = begin, 0
-    if is_restored and problem._step.load > begin:
-        t, length = problem._step.load, problem._step.length
-        set_load(min(t, end))
-    while t < end:
-        rest = end - t
-        is_last = rest - length < _SHORTEST * (end - begin)
-        step, target = (rest, end) if is_last else (length, t + length)
+    def steps(
+        self,
+        set_load: Callable[[float], Any],
+        begin: float,
+        end: float,
+        *,
+        first: float | None = None,
+    ) -> Iterator[float]:
+        """Solve in load steps, each accepted by `advance`, and yield after each of them.
+
+        A step that fails is halved; after two easy ones in a row, the next ones are twice as long.
+        With finite strains a step is easy that took no more than half of ``newton_max_it`` steps of
+        Newton's method, otherwise each that did not fail. Where a step of a thousandth of all
+        fails, loads and `u` are left at the last accepted step.
+
+        After `restore` of a checkpoint that was saved between such steps they go on from its load,
+        with steps as long as they would have been; nothing is solved, but `set_load` called, where
+        that is at or behind `end`.
+
+        Parameters
+        ----------
+        set_load : callable
+            Called with a number between `begin` and `end`: sets loads, prescribed displacements and
+            obstacles. The loads of a step that fails are set back by the next call.
+        begin, end : float
+            The present load, which is not solved for, and that of the last step.
+        first : float, optional
+            Length of the first step, by default all in one.
+
+        Yields
+        ------
+        float
+            The load of an accepted step; `end` in the last one.
+
+        Raises
+        ------
+        NotConverged, InputError
+            That of the shortest step, if it fails too.
+
+        Examples
+        --------
+        >>> def set_load(t):
+        ...     traction.value = (0.0, -1e5 * t)
+        >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
+        ...     print(t, problem.results["seal"].force)
+        ...     problem.save(file)
+        """
+        length = end - begin if first is None else first
+        if not (begin < end and length > 0.0):
+            raise InputError(
+                f"load steps from {begin:g} to {end:g}, the first of {length:g}: the end has to be "
+                "after the beginning, and the first step longer than 0"
+            )
+        t, easy = begin, 0
+        if self._solved is None and self._step.load > begin:
+            t, length = self._step.load, self._step.length
+            set_load(min(t, end))
+        while t < end:
+            rest = end - t
+            is_last = rest - length < _SHORTEST * (end - begin)
+            step, target = (rest, end) if is_last else (length, t + length)
+            try:
+                self._solve_at(set_load, target)
+            except (InputError, NotConverged) as error:
+                # an obstacle may have no gap where the surfaces are before a long step
+                length, easy = 0.5 * step, 0
+                if length >= _SHORTEST * (end - begin):
+                    continue
+                set_load(t)
+                if isinstance(error, InputError):
+                    raise
+                raise NotConverged(
+                    f"the load step from {t:g} to {target:g} is not solved, nor were longer ones: "
+                    f"{error}",
+                    error.solution,
+                    error.report,
+                ) from None
+            self.advance()
+            easy = easy + 1 if self._was_easy() else 0
+            t = target
+            if easy == 2:
+                length, easy = 2.0 * length, 0
+            self._step = replace(self._step, load=t, length=length)
+            yield t
+
+    def _was_easy(self) -> bool:
+        """Tell whether a step that did not fail was an easy one."""
+        return True
+
+    def _solve_at(self, set_load: Callable[[float], Any], load: float) -> None:
+        """Solve at a load; the displacement is that before if there is no solution."""
+        start = owned_values(self.u)
+        set_load(load)
         try:
-            _solve(problem, set_load, target)
-        except (InputError, NotConverged) as error:
-            # an obstacle may have no gap where the surfaces are before a long step
-            length, easy = 0.5 * step, 0
-            if length >= _SHORTEST * (end - begin):
-                continue
-            set_load(t)
-            if isinstance(error, InputError):
-                raise
-            raise NotConverged(
-                f"the load step from {t:g} to {target:g} is not solved, nor were longer ones: "
-                f"{error}",
-                error.solution,
-                error.report,
-            ) from None
-        problem.advance()
-        easy = easy + 1 if is_easy() else 0
-        t = target
-        if easy == 2:
-            length, easy = 2.0 * length, 0
-        problem._step = replace(problem._step, load=t, length=length)
-        yield t
+            self.solve()
+        except ContactError:
+            fill_owned(self.u, start)
+            raise
 
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a checkpoint for `restore`, or leave an old one as it is. Collective.
 
-def _solve(problem: SteppedProblem, set_load: Callable[[float], Any], load: float) -> None:
-    """Solve at a load; the displacement is that before if there is no solution."""
-    start = owned_values(problem.u)
-    set_load(load)
-    try:
-        problem.solve()
-    except ContactError:
-        fill_owned(problem.u, start)
-        raise
+        It has the displacement, the contact forces at the nodes, from where slip is counted, and
+        the number of steps that were accepted.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved.
+        OSError
+            On all ranks, if rank 0 cannot write the file.
+        """
+        if self._solved is None:
+            raise InputError("there is nothing to save; call solve() first")
+        self._save(path)
+
+    def restore(self, path: str | os.PathLike[str]) -> int:
+        """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
+
+        `u` is filled. The next solve starts from the saved contact forces and, with finite strains
+        or exact non-penetration, from the saved displacement or pass. A checkpoint changes where
+        iterations start and from where slip is counted, no more: loads, supports, obstacles and
+        materials are those that the problem has now.
+
+        Parameters
+        ----------
+        path : path-like
+            A file of `save` or ``solve(checkpoint=...)``, of a run on any number of ranks. The
+            cells of the mesh have to be given in the same order.
+
+        Returns
+        -------
+        int
+            How many steps `advance` has accepted: the load step to go on with.
+
+        Raises
+        ------
+        InputError
+            If the file is no checkpoint, damaged, or that of another problem; if this problem was
+            solved already.
+        OSError
+            If the file cannot be read.
+
+        Examples
+        --------
+        >>> begin = problem.restore(file) if Path(file).exists() else 0  # doctest: +SKIP
+        >>> for step in range(begin, len(loads)):  # doctest: +SKIP
+        ...     load.value = loads[step]
+        ...     uh = problem.solve(checkpoint=file)
+        ...     problem.advance()
+        ...     problem.save(file)
+        """
+        if self._solved is not None:
+            raise InputError("a checkpoint is for a problem that was not solved yet")
+        self._step = read_step(path, self._torn.nodes, self._torn.names)
+        self._is_restored = True
+        fill_owned(self.u, self._step.displacement)
+        return self._step.number
+
+    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
+        """Write the checkpoint, if there is to be one."""
+        if checkpoint is not None:
+            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)

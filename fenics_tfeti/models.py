@@ -235,7 +235,7 @@ def redistributed_density(
     dofs = _compat.cell_dofs(density.function_space)[:cells, 0]
     with _compat.quiet_compiler():
         forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
-    mass, size = (_compat.assemble_load(form)[dofs] for form in forms)
+    mass, size = (fem.assemble_vector(form).array[dofs] for form in forms)
     touching = [contact for contact in as_contacts(contacts, None) if isinstance(contact, Contact)]
     first, second = _layers_at(mesh, touching)
     moved, taking = (

@@ -14,6 +14,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
+from fenics_tfeti.fem.contact.contact import SlaveValues
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
@@ -33,7 +34,7 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import print_on_first_rank
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Monitor = Callable[[Any], None]
 
@@ -107,7 +108,7 @@ class NewtonState:
         return self.rows.conditions.bodies
 
     def pressing(self) -> Mask:
-        """Tell which slave nodes (contacts, nodes) press."""
+        """Tell which nodes (s,) of the slaves' surfaces press."""
         return self.multipliers.normal > 0.0
 
 
@@ -124,13 +125,13 @@ class LoadStep:
     def state_at(
         self,
         displacement: Vector,
-        multipliers: Multipliers | Vector,
+        multipliers: Multipliers | SlaveValues,
         scale: ForceScale,
         bodies: RigidBodies,
     ) -> NewtonState:
         """Fill u, and measure surfaces and residual there. Collective.
 
-        Multipliers may be normal forces (contacts, nodes) [N]. The bodies are where they were
+        Multipliers may be normal forces (k,) [N]. The bodies are where they were
         before the last step.
         """
         size = self.torn.nodes.owned * self.torn.nodes.components
@@ -167,7 +168,7 @@ class NewtonIteration:
         self._increment = Function(load_step.torn.space)
         self._scale = ForceScale()
         # nodes whose contact changed in the last step, and also in the one before
-        self._changed = self._alternating = np.zeros((0, 0), dtype=bool)
+        self._changed = self._alternating = np.zeros(0, dtype=bool)
 
     def run(self, state: NewtonState, monitor: Monitor | None) -> Iterator[NewtonState]:
         """Yield the state after each step, the last one in equilibrium."""
@@ -300,17 +301,17 @@ class NewtonIteration:
 
     def _not_converged(self, state: NewtonState) -> str:
         end = state.equilibrium
-        return self._alternation() + (
+        return self._alternation(state.rows.surface_nodes) + (
             f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement; newton_rtol is {self._options.newton_rtol:g}. Halve the load step"
         )
 
-    def _alternation(self) -> str:
+    def _alternation(self, surface_nodes: Numbers) -> str:
         """Say at which nodes contact opens and closes in turn, if at any. Collective."""
         nodes = self._load_step.torn.nodes
-        alternating = np.flatnonzero(self._alternating.any(axis=0))
+        alternating = np.unique(surface_nodes[self._alternating]) - nodes.first
         places = [format_point(x) for x in nodes.coordinates[alternating[:1]]]
         count = nodes.comm.allreduce(alternating.size)
         if not count:

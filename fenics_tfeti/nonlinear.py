@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,13 +12,12 @@ import numpy as np
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.checkpoint import Step, read_step, write_step
+from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
-from fenics_tfeti.fem.contact.contact_set import SolvedContacts
 from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.result import Results
@@ -30,12 +29,11 @@ from fenics_tfeti.fem.newton.equilibrium import ForceScale
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolver, interruption
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
-from fenics_tfeti.load_steps import load_steps
+from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class NonlinearReport(ContactReport):
     newton: list[NewtonStep] = field(default_factory=list)
 
 
-class NonlinearContactProblem:
+class NonlinearContactProblem(SteppedProblem):
     """Contact of bodies with finite strains, solved by Newton's method and Total FETI.
 
     Rotations and sliding may be large: in each step contact conditions are those of the deformed
@@ -102,9 +100,6 @@ class NonlinearContactProblem:
     ...     print(t, problem.results[0].force)
     """
 
-    u: Function
-    results: Results
-    rigid_bodies: Results
     report: NonlinearReport
 
     def __init__(
@@ -146,10 +141,7 @@ class NonlinearContactProblem:
             self._timer,
         )
         self._gradients = CellGradients(self.space)
-        origin = SlipOrigin(owned_values(u), np.zeros((len(data.touching), owned_values(u).size)))
-        self._step = Step(origin.displacement, self._no_forces(), origin)
-        self._is_solved = False
-        self._solved: SolvedContacts | None = None
+        self._step = Step.at(SlipOrigin.at(u))
         self._solver: TornSolver | None = None
         self.results = self.rigid_bodies = Results()
         with self._timer.phase("assembly"):
@@ -202,103 +194,12 @@ class NonlinearContactProblem:
             print(self.report, flush=True)
         return self.u
 
-    def advance(self) -> None:
-        """Accept the last solve as a load step: friction counts slip from its end.
-
-        Raises
-        ------
-        InputError
-            If nothing was solved since the last step.
-        """
-        if not self._is_solved:
-            raise InputError("there is no step to accept; call solve() before advance()")
-        assert self._solved is not None
-        self._step = self._step.accepted(self._solved.obstacle_displacements())
-        self._is_solved = False
-
-    def steps(
-        self,
-        set_load: Callable[[float], Any],
-        begin: float,
-        end: float,
-        *,
-        first: float | None = None,
-    ) -> Iterator[float]:
-        """Solve in load steps, each accepted by `advance`, and yield after each of them.
-
-        A step that fails is halved; after two in a row that took no more than half of
-        ``newton_max_it`` steps of Newton's method, the next ones are twice as long. Where a step of
-        a thousandth of all fails, loads and `u` are left at the last accepted step.
-
-        After `restore` of a checkpoint that was saved between such steps they go on from its load,
-        with steps as long as they would have been; nothing is solved, but `set_load` called, where
-        that is at or behind `end`.
-
-        Parameters
-        ----------
-        set_load : callable
-            Called with a number between `begin` and `end`: sets loads, prescribed displacements and
-            obstacles. The loads of a step that fails are set back by the next call.
-        begin, end : float
-            The present load, which is not solved for, and that of the last step.
-        first : float, optional
-            Length of the first step, by default all in one.
-
-        Yields
-        ------
-        float
-            The load of an accepted step; `end` in the last one.
-
-        Raises
-        ------
-        NotConverged, InputError
-            That of the shortest step, if it fails too.
-
-        Examples
-        --------
-        >>> def set_load(t):
-        ...     traction.value = (0.0, -1e5 * t)
-        >>> for t in problem.steps(set_load, 0.0, 1.0, first=0.25):  # doctest: +SKIP
-        ...     print(t, problem.results["seal"].force)
-        ...     problem.save(file)
-        """
-        limit = 0.5 * self.options.newton_max_it
-        return load_steps(
-            self,
-            set_load,
-            begin,
-            end,
-            first,
-            lambda: len(self.report.newton) <= limit,
-            self._solved is None,
-        )
-
     def reset_slip(self) -> None:
         """Count slip from the present `u` in the next solve, as in the first one."""
-        displacement = owned_values(self.u)
-        obstacles = np.zeros((len(self._torn.data.touching), displacement.size))
-        self._step = replace(self._step, origin=SlipOrigin(displacement, obstacles))
+        self._step = replace(self._step, origin=SlipOrigin.at(self.u))
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint for `restore`, see `ContactProblem.save`. Collective."""
-        if self._solved is None:
-            raise InputError("there is nothing to save; call solve() first")
-        self._save(path)
-
-    def restore(self, path: str | os.PathLike[str]) -> int:
-        """Go on from a checkpoint, and fill `u`; see `ContactProblem.restore`. Collective."""
-        if self._solved is not None:
-            raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._torn.nodes, self._torn.names)
-        fill_owned(self.u, self._step.displacement)
-        return self._step.number
-
-    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
-        if checkpoint is not None:
-            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
-
-    def _no_forces(self) -> Vector:
-        return np.zeros((len(self._torn.data.touching), self._torn.nodes.owned))
+    def _was_easy(self) -> bool:
+        return len(self.report.newton) <= 0.5 * self.options.newton_max_it
 
     def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
         self._is_solved = False
@@ -346,8 +247,7 @@ class NonlinearContactProblem:
             self._torn.update_supports(self.bcs)
             return
         self._torn.update(self.bcs, self.contacts)
-        origin = self._step.origin.resized(len(self._torn.data.touching))
-        self._step = replace(self._step, origin=origin)
+        self._step = self._step.of_first(len(self._torn.data.touching))
 
     def _store(self, state: NewtonState, iteration: NewtonIteration, bodies: RigidBodies) -> None:
         """Keep the solution that was found with the conditions of a state, and has moved bodies."""

@@ -145,22 +145,10 @@ class Directory:
         answers = []
         for (query,) in all_to_all(self._comm, questions):
             position = self.position(query)
-            rows = [table[position] if table.size else table[:0] for table in tables]
-            rows = [
-                self._blank_missing(row, position, table)
-                for row, table in zip(rows, tables, strict=True)
-            ]
-            answers.append((position >= 0, *rows))
+            answers.append((position >= 0, *(_rows(table, position) for table in tables)))
         columns = zip(*all_to_all(self._comm, answers), strict=True)
         inverse = np.argsort(order, kind="stable")
         return tuple(np.concatenate(column)[inverse] for column in columns)
-
-    @staticmethod
-    def _blank_missing(rows: Array, position: Numbers, table: Array) -> Array:
-        if rows.shape[0] != position.size:
-            return np.zeros((position.size, *table.shape[1:]), dtype=table.dtype)
-        rows[position < 0] = 0
-        return rows
 
     def forward(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (key, data...) to all ranks that hold the keys; return the columns received.
@@ -179,3 +167,10 @@ class Directory:
         split = [np.split(column[row[order]], cuts) for column in columns]
         received = all_to_all(self._comm, list(zip(*split, strict=True)))
         return tuple(np.concatenate(column) for column in zip(*received, strict=True))
+
+
+def _rows(table: Array, position: Numbers) -> Array:
+    """Return rows of a table, zero where the position is negative."""
+    rows = np.zeros((position.size, *table.shape[1:]), dtype=table.dtype)
+    rows[position >= 0] = table[position[position >= 0]]
+    return rows

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
-
-import numpy as np
 
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.checkpoint import Step, read_step, write_step
+from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import (
@@ -24,7 +22,7 @@ from fenics_tfeti.fem.arguments import (
 )
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
-from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import Contact, Exact
 from fenics_tfeti.fem.contact.result import Results
@@ -49,13 +47,13 @@ from fenics_tfeti.feti import (
 )
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.memory import return_free_memory
-from fenics_tfeti.load_steps import load_steps
+from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
 
 
-class ContactProblem:
+class ContactProblem(SteppedProblem):
     """Contact of linear elastic bodies, with or without friction, solved by Total FETI.
 
     Parameters
@@ -129,9 +127,6 @@ class ContactProblem:
     >>> uh = problem.solve()  # doctest: +SKIP
     """
 
-    u: Function
-    results: Results
-    rigid_bodies: Results
     report: ContactReport
 
     def __init__(
@@ -171,13 +166,12 @@ class ContactProblem:
         self._torn = TornProblem(self.space, a, L, data, size, partitioner, self._timer)
         with self._timer.phase("assembly"):
             warn_of_locking(self._torn.torn.forms, self._torn.bodies)
-        origin = SlipOrigin.undeformed(self.space, len(data.touching))
+        origin = SlipOrigin.at(Function(self.space))
         self.system = self._torn.system(origin)
         return_free_memory()
-        self._step = Step(origin.displacement, np.zeros((0, 0)), origin)
-        self._is_restored = self._is_solved = self._has_warned = False
+        self._step = Step.at(origin)
+        self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
-        self._solved: SolvedContacts | None = None
         self._solver: TornSolver | None = None
 
     def solve(
@@ -263,107 +257,9 @@ class ContactProblem:
             print(self.report, flush=True)
         return uh
 
-    def advance(self) -> None:
-        """Accept the last solve as a load step: friction counts slip from its end.
-
-        Raises
-        ------
-        InputError
-            If nothing was solved since the last step.
-
-        Examples
-        --------
-        >>> for load.value in loads:  # doctest: +SKIP
-        ...     problem.solve()
-        ...     problem.advance()
-        """
-        if not self._is_solved:
-            raise InputError("there is no step to accept; call solve() before advance()")
-        assert self._solved is not None
-        self._step = self._step.accepted(self._solved.obstacle_displacements())
-        self._is_solved = False
-
-    def steps(
-        self,
-        set_load: Callable[[float], Any],
-        begin: float,
-        end: float,
-        *,
-        first: float | None = None,
-    ) -> Iterator[float]:
-        """Solve in load steps, each accepted by `advance`, and yield after each of them.
-
-        As `NonlinearContactProblem.steps`; a step is easy if it did not fail.
-        """
-        return load_steps(self, set_load, begin, end, first, lambda: True, self._solver is None)
-
     def reset_slip(self) -> None:
         """Count slip from the undeformed state in the next solve, as in the first one."""
-        origin = SlipOrigin.undeformed(self.space, len(self._torn.data.touching))
-        self._step = replace(self._step, origin=origin)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a checkpoint for `restore`, or leave an old one as it is. Collective.
-
-        It has the displacement, the contact forces at the nodes, from where slip is counted, and
-        the number of steps that were accepted.
-
-        Raises
-        ------
-        InputError
-            If nothing was solved.
-        OSError
-            On all ranks, if rank 0 cannot write the file.
-        """
-        if self._solved is None:
-            raise InputError("there is nothing to save; call solve() first")
-        self._save(path)
-
-    def restore(self, path: str | os.PathLike[str]) -> int:
-        """Go on from a checkpoint that an earlier run of the same problem has written. Collective.
-
-        The next solve starts from the saved contact forces and, with exact non-penetration, from
-        the saved pass. A checkpoint changes where iterations start and from where slip is counted,
-        no more: loads, supports, obstacles and materials are those that the problem has now.
-
-        Parameters
-        ----------
-        path : path-like
-            A file of `save` or ``solve(checkpoint=...)``, of a run on any number of ranks. The
-            cells of the mesh have to be given in the same order.
-
-        Returns
-        -------
-        int
-            How many steps `advance` has accepted: the load step to go on with.
-
-        Raises
-        ------
-        InputError
-            If the file is no checkpoint, damaged, or that of another problem; if this problem was
-            solved already.
-        OSError
-            If the file cannot be read.
-
-        Examples
-        --------
-        >>> begin = problem.restore(file) if Path(file).exists() else 0  # doctest: +SKIP
-        >>> for step in range(begin, len(loads)):  # doctest: +SKIP
-        ...     load.value = loads[step]
-        ...     uh = problem.solve(checkpoint=file)
-        ...     problem.advance()
-        ...     problem.save(file)
-        """
-        if self._solver is not None:
-            raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._torn.nodes, self._torn.names)
-        self._is_restored = True
-        return self._step.number
-
-    def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
-        """Write the checkpoint, if there is to be one."""
-        if checkpoint is not None:
-            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
+        self._step = replace(self._step, origin=SlipOrigin.at(Function(self.space)))
 
     # -- the present data --------------------------------------------------------------------------
 
@@ -377,9 +273,8 @@ class ContactProblem:
             self._deformed = None
             self.reset_slip()
         self._torn.update(self.bcs, self.contacts, self._release)
-        origin = self._step.origin.resized(len(self._torn.data.touching))
-        self._step = replace(self._step, origin=origin)
-        self.system = self._torn.system(origin)
+        self._step = self._step.of_first(len(self._torn.data.touching))
+        self.system = self._torn.system(self._step.origin)
 
     def _release(self) -> None:
         """Free the last stiffness matrices and factors, before others take their place."""

@@ -103,34 +103,6 @@ def cpp_object(thing: Any) -> Any:
     return thing
 
 
-def space_with_dofs(space: fem.FunctionSpace, dofs: Numbers, size: int) -> fem.FunctionSpace:
-    """Create a space of the same element and mesh with other degrees of freedom. Collective.
-
-    - 0.5.2 has the class ``cpp.fem.FunctionSpace`` of (mesh, element, dofmap);
-    - 0.9 has ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap, value shape);
-    - 0.10 and 0.11 have ``cpp.fem.FunctionSpace_float64`` of (mesh, element, dofmap).
-
-    Takes the class of the given space and dispatches on its attribute ``value_shape``. `dofs`
-    (cells, v) are the (blocked) degrees of freedom of each cell of this rank, ghosts included; none
-    of the `size` of this rank is shared.
-    """
-    domain, old = space.mesh, space.dofmap
-    table = cpp.graph.AdjacencyList_int32(
-        np.ascontiguousarray(dofs, dtype=np.int32).ravel(),
-        np.arange(0, dofs.size + 1, dofs.shape[1], dtype=np.int32),
-    )
-    numbers = cpp.common.IndexMap(domain.comm, size)
-    block = old.index_map_bs
-    dofmap = cpp.fem.DofMap(old.dof_layout, numbers, block, table, old.bs)
-    V = cpp_object(space)
-    value_shape = (V.value_shape,) if hasattr(V, "value_shape") else ()
-    return fem.FunctionSpace(
-        domain,
-        space.ufl_element(),
-        type(V)(cpp_object(domain), V.element, dofmap, *value_shape),
-    )
-
-
 def lagrange_space(
     domain: mesh.Mesh, degree: int, components: int = 0, discontinuous: bool = False
 ) -> fem.FunctionSpace:
@@ -350,13 +322,11 @@ class CompilerOptions:
 
 
 class CompiledForm:
-    """A form compiled once, to be bound to spaces with other degrees of freedom and to some cells.
+    """A form compiled once, whose kernels are called cell by cell.
 
-    - 0.5.2 compiles with ``jit.ffcx_jit`` and binds by ``cpp.fem.Form_float64``, with tags as
-      ``MeshTags``;
-    - 0.9 to 0.11 have ``fem.compile_form`` and ``fem.create_form``, with lists of entities.
+    - 0.5.2 compiles with ``jit.ffcx_jit``, 0.9 to 0.11 with ``fem.compile_form``.
 
-    Dispatches on ``fem.create_form``. Integrals name their tags: none is over "everywhere". Rank 0
+    Dispatches on ``fem.compile_form``. Integrals name their tags: none is over "everywhere". Rank 0
     compiles, then the others load.
     """
 
@@ -364,7 +334,7 @@ class CompiledForm:
         self, form: ufl.Form, comm: MPI.Comm, compiler: CompilerOptions | None = None
     ) -> None:
         self._form = form
-        self._new = hasattr(fem, "create_form")
+        self._new = hasattr(fem, "compile_form")
         compile_form = fem.compile_form if self._new else dolfinx.jit.ffcx_jit
         compiler = compiler or CompilerOptions()
         form_options = dict(compiler.form_compiler_options or {})
@@ -374,44 +344,6 @@ class CompiledForm:
             self._compiled = compile_form(
                 comm, form, form_options, dict(compiler.jit_options or {})
             )
-
-    def bind(
-        self,
-        spaces: list[fem.FunctionSpace],
-        cells: dict[int, Numbers],
-        facets: dict[int, Numbers],
-    ) -> Any:
-        """Bind the form to a space for each argument, and to the cells and facets of each tag.
-
-        Facets are rows (cell, local facet) of this rank.
-        """
-        domain = spaces[0].mesh
-        if self._new:
-            kinds = fem.IntegralType
-            subdomains = {
-                kinds.cell: list(cells.items()),
-                kinds.exterior_facet: [(tag, rows.ravel()) for tag, rows in facets.items()],
-            }
-            inputs = ({w: w for w in self._form.coefficients()}, {c: c for c in self._constants()})
-            return fem.create_form(self._compiled, spaces, domain, subdomains, *inputs)
-        ufcx_form, module = self._ufcx
-        kinds = cpp.fem.IntegralType
-        return cpp.fem.Form_float64(
-            module.ffi.cast("uintptr_t", module.ffi.addressof(ufcx_form)),
-            [cpp_object(V) for V in spaces],
-            [cpp_object(w) for w in self.coefficients],
-            [cpp_object(c) for c in self._constants()],
-            {
-                kinds.cell: _tags_from_cells(domain, cells),
-                kinds.exterior_facet: _tags_from_facets(domain, facets),
-                kinds.interior_facet: None,
-                kinds.vertex: None,
-            },
-            cpp_object(domain),
-        )
-
-    def _constants(self) -> list[Any]:
-        return list(self._form.constants())
 
     @property
     def integrals(self) -> list[tuple[str, int, Any]]:
@@ -468,12 +400,12 @@ class CompiledForm:
             addresses = values.ctypes.data + values.strides[0] * at.astype(np.uintp)
             return ffi.from_buffer(f"{kind} *[]", addresses)
 
-        constants = np.concatenate([[], *(np.ravel(c.value) for c in self._constants())])
+        constants = np.concatenate([[], *(np.ravel(c.value) for c in self._form.constants())])
         places = np.zeros(0, dtype=np.int32) if facets is None else facets
         arguments = [
             pointers(tensors, rows),
             pointers(coefficients, rows),
-            pointers(constants, np.zeros(len(rows))),
+            repeat(ffi.cast("double *", constants.ctypes.data)),
             pointers(coordinates, rows),
             pointers(places, np.arange(places.size), "int"),
         ]
@@ -488,38 +420,6 @@ class CompiledForm:
             return self._compiled.ufcx_form, self._compiled.module
         form, module, _ = self._compiled
         return form, module
-
-
-def _tags_from_cells(domain: mesh.Mesh, cells: dict[int, Numbers]) -> Any:
-    if not cells:
-        return None
-    return _tags(domain, domain.topology.dim, list(cells.values()), list(cells))
-
-
-def _tags_from_facets(domain: mesh.Mesh, facets: dict[int, Numbers]) -> Any:
-    if not facets:
-        return None
-    dim = domain.topology.dim
-    facets_of_cells = domain.topology.connectivity(dim, dim - 1)
-    # a rank may have no cells
-    width = facets_of_cells.array.size // max(facets_of_cells.num_nodes, 1)
-    entities = [facets_of_cells.array[rows @ (width, 1)] for rows in facets.values()]
-    return _tags(domain, dim - 1, entities, list(facets))
-
-
-def _tags(domain: mesh.Mesh, dim: int, entities: list[Numbers], values: list[int]) -> Any:
-    numbers = np.concatenate(entities)
-    tags = np.repeat(values, [part.size for part in entities]).astype(np.int32)
-    order = np.argsort(numbers)
-    return mesh.meshtags(domain, dim, numbers[order], tags[order])
-
-
-def assemble_load(form: Any) -> NDArray[np.float64]:
-    """Assemble a linear form on a space whose dofs no ranks share.
-
-    - All versions return a vector with ``array``.
-    """
-    return np.array(fem.assemble_vector(form).array)
 
 
 # -- meshes, files and pictures ----------------------------------------------------------------

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 from mpi4py import MPI
 
@@ -11,12 +11,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx.fem import Function, FunctionSpace
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Numbers, Vector
 
 Array = NDArray[Any]
+
+
+class MeshComm(MPI.Intracomm):
+    """The ranks of a mesh, which it keeps alive: dolfinx frees the communicator with the mesh."""
+
+    mesh: Mesh
+
+    def __new__(cls, mesh: Mesh) -> MeshComm:
+        """Return the communicator of a mesh."""
+        comm = cast("MeshComm", super().__new__(cls, mesh.comm))
+        comm.mesh = mesh
+        return comm
 
 
 class NodeMap:
@@ -26,7 +39,7 @@ class NodeMap:
     """
 
     def __init__(self, space: FunctionSpace) -> None:
-        self.space, self.comm = space, space.mesh.comm
+        self.space, self.comm = space, MeshComm(space.mesh)
         self.components: int = space.dofmap.index_map_bs
         self._map = space.dofmap.index_map
         self.first, end = self._map.local_range  # global numbers of the owned nodes

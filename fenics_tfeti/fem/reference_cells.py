@@ -9,7 +9,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
 import basix
+
+from fenics_tfeti.typing import Vector
 
 Vertices = tuple[int, ...]
 
@@ -181,3 +185,13 @@ def reference_cell(name: str) -> ReferenceCell:
     ((1, 2), (0, 2), (0, 1))
     """
     return _CELLS[name]
+
+
+def quadrature(name: str, degree: int) -> tuple[Vector, Vector]:
+    """Return points (q, dim) and weights on a cell, exact for polynomials of a degree.
+
+    >>> quadrature("triangle", 2)[1].tolist()
+    [0.16666666666666666, 0.16666666666666666, 0.16666666666666666]
+    """
+    points, weights = basix.make_quadrature(getattr(basix.CellType, name), degree)
+    return np.asarray(points), np.asarray(weights)

@@ -134,7 +134,7 @@ class TornProblem:
             self.space.mesh.geometry.dim,
             [*self.bodies.names, *conditions.added_names],
             conditions.names,
-            self.space.mesh.comm,
+            self.nodes.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
             conditions.tied_rows(),
             friction,

@@ -126,7 +126,7 @@ def unit_vectors(
 
 def as_points(data: ArrayLike, what: str) -> Vector:
     """Return a user's points as an array, with two or three coordinates each."""
-    points = _numbers(data, what)
+    points = as_array(data, what)
     if points.ndim != 2 or points.shape[1] not in (2, 3) or not len(points):
         raise InputError(f"{what} have shape {points.shape}, expected (k, 2) or (k, 3) with k > 0")
     if not np.isfinite(points).all():
@@ -135,7 +135,8 @@ def as_points(data: ArrayLike, what: str) -> Vector:
     return points
 
 
-def _numbers(data: Any, what: str) -> Vector:
+def as_array(data: Any, what: str) -> Vector:
+    """Return a user's numbers as an array."""
     try:
         return np.asarray(data, dtype=float)
     except (TypeError, ValueError):
@@ -146,32 +147,35 @@ def _numbers(data: Any, what: str) -> Vector:
 
 def _scalars(function: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
     k = len(points)
-    if k == 0:  # a user's function may fail for no points
-        return np.zeros(0)
-    values = _numbers(evaluate(function, points, what), what)
-    if values.shape != (k,):
-        raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {k}), expected ({k},)"
-        )
-    return values
+    return _called(function, points, what, {(k,)}, f"({k},)")
 
 
 def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector:
     k = len(points)
-    if not callable(field):
-        vector = _numbers(field, what)
-        if vector.shape != (gdim,):
-            raise InputError(
-                f"{what} has shape {vector.shape}, expected ({gdim},) or a function of x"
-            )
-        return np.tile(vector, (k, 1))
-    if k == 0:  # a user's function may fail for no points
-        return np.zeros((0, gdim))
-    values = _numbers(evaluate(field, points, what), what)
-    if values.shape not in ((gdim, k), (3, k)):
+    if callable(field):
+        values = _called(field, points, what, {(gdim, k), (3, k)}, f"({gdim}, {k})")
+        vectors: Vector = values[:gdim].T
+        return vectors
+    vector = as_array(field, what)
+    if vector.shape != (gdim,):
+        raise InputError(f"{what} has shape {vector.shape}, expected ({gdim},) or a function of x")
+    return np.tile(vector, (k, 1))
+
+
+def _called(
+    function: Callable[[Vector], ArrayLike],
+    points: Vector,
+    what: str,
+    shapes: set[tuple[int, ...]],
+    expected: str,
+) -> Vector:
+    """Return the values of a user's function, of one of some shapes."""
+    if not len(points):  # a user's function may fail for no points
+        return np.zeros(min(shapes))
+    values = as_array(evaluate(function, points, what), what)
+    if values.shape not in shapes:
         raise InputError(
-            f"{what} returned shape {values.shape} for points of shape (3, {k}), expected "
-            f"({gdim}, {k})"
+            f"{what} returned shape {values.shape} for points of shape (3, {len(points)}), "
+            f"expected {expected}"
         )
-    vectors: Vector = values[:gdim].T
-    return vectors
+    return values

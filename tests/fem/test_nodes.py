@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
+
 from mpi4py import MPI
 
 import numpy as np
@@ -9,7 +12,7 @@ import pytest
 
 from dolfinx.mesh import create_submesh
 
-from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.nodes import MeshComm, NodeMap
 from fenics_tfeti.io import Box, boxes, displacement_space
 
 COMM = MPI.COMM_WORLD
@@ -109,3 +112,16 @@ def test_values_of_all_ranks_are_summed_at_the_owners(nodes):
     np.testing.assert_array_equal(total, COMM.size * (own + 5 * (own == 0)))
     largest = nodes.sum_at_owners(rows, rows + COMM.rank, np.maximum)
     np.testing.assert_array_equal(largest, own + COMM.size - 1)
+
+
+@pytest.mark.ranks(2)
+def test_communicator_outlives_the_script_s_mesh():
+    mesh = boxes(COMM, BODIES, "triangle").mesh
+    alive, comm = weakref.ref(mesh), MeshComm(mesh)
+    del mesh
+    gc.collect()
+    assert alive() is not None
+    assert comm.allreduce(1) == COMM.size
+    del comm
+    gc.collect()
+    assert alive() is None

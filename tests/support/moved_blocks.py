@@ -75,7 +75,7 @@ class Blocks(Scene):
         pairing = self.pairing(pair)
         result = deformed_contact(pair, pairing, uh)
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
-        return pairing, result, u[pairing.slave], u[result.terms.master]
+        return pairing, result, u[pairing.slave], u[result.pairing.master]
 
 
 def blocks(

@@ -42,12 +42,7 @@ class SurfaceNodes:
 
     def __getitem__(self, rows: Any) -> SurfaceNodes:
         """Return some of the rows."""
-        return SurfaceNodes(*(column[rows] for column in self.columns()))
-
-    def columns(self) -> tuple[Any, ...]:
-        """Return the attributes in their order."""
-        nodes = (self.number, self.x, self.body, self.size)
-        return (*nodes, self.slave, self.master, self.vertex)
+        return SurfaceNodes(*(column[rows] for column in vars(self).values()))
 
     def merged(self) -> SurfaceNodes:
         """Return one row for each pair of node and body."""
@@ -217,7 +212,7 @@ def _coincident_pairs(
     comm, gdim = domain.comm, domain.geometry.dim
     reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
     keys, rows = _bins(comm, nodes.x, reach)
-    data = (*nodes.columns(), group)
+    data = (*vars(nodes).values(), group)
     *columns, group = Directory(comm, np.unique(keys)).collect(keys, *(d[rows] for d in data))[1:]
     candidates = SurfaceNodes(*columns)
     pairs = np.zeros((0, 2), dtype=np.int64)

@@ -40,7 +40,8 @@ class CellGeometry:
     x: Vector  # (gdim, n) coordinates of the nodes [m]
     midpoint: Vector  # (gdim, m) means of the corners [m]
     size: Vector  # twice the largest distance of a corner from the midpoint [m]
-    lowest: Vector  # least and largest det J at the corners, and det J at the midpoint [m^gdim]
+    # least and largest det J at corners and midpoint, and that at the midpoint [m^gdim]
+    lowest: Vector
     highest: Vector
     volume: Vector
     body: Numbers
@@ -52,12 +53,17 @@ class CellGeometry:
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
+        points = _compat.lagrange_points(type_.name, 1)
+        # in simplices the determinant is constant
+        points = np.vstack([points[: 0 if type_.is_simplex else None], points.mean(axis=0)])
         for batch in batches(body.size, _CELLS):
             corners = x[:, nodes[batch].T]
             midpoint[:, batch] = corners.mean(axis=1)
             spokes = corners - midpoint[:, None, batch]
             size[batch] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
-            lowest[batch], highest[batch], volume[batch] = _determinants(type_, corners)
+            values = _determinants(type_, 1, points, corners)
+            volume[batch] = values[-1]
+            lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
         return CellGeometry(type_, nodes, x, midpoint, size, lowest, highest, volume, body)
 
     def shortest_edges(self, cells: Numbers) -> Vector:
@@ -113,28 +119,17 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
 
 def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, Vector]:
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
-    nodes, cell = _compat.geometry_cells(domain), cells.type.name
-    gradients = _compat.shape_gradients(cell, 2, _compat.lagrange_points(cell, 2))
+    nodes, points = _compat.geometry_cells(domain), _compat.lagrange_points(cells.type.name, 2)
     lowest, highest = np.empty((2, cells.body.size))
     for batch in batches(cells.body.size, _CELLS):
-        columns = [derivative @ cells.x[:, nodes[batch].T] for derivative in gradients]
-        values = _determinant(columns)
+        values = _determinants(cells.type, 2, points, cells.x[:, nodes[batch].T])
         lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
     return lowest, highest
 
 
-def _determinants(type_: ReferenceCell, corners: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the least and the largest det J (k,) at the corners (gdim, v, k), the midpoint's."""
-    dim = len(corners)
-    if type_.is_simplex:
-        constant = _determinant([corners[:, i] - corners[:, 0] for i in range(1, dim + 1)])
-        return constant, constant, constant
-    # in tensor order, corners that differ in bit d of their number are ends of an edge along d
-    grid = corners.reshape(dim, *(2,) * dim, -1)
-    edges = [np.diff(grid, axis=dim - d) for d in range(dim)]
-    means = [e.reshape(dim, 2 ** (dim - 1), -1).mean(axis=1) for e in edges]
-    values = _determinant(edges).reshape(2**dim, -1)
-    return values.min(axis=0), values.max(axis=0), _determinant(means)
+def _determinants(cell: ReferenceCell, degree: int, points: Vector, x: Vector) -> Vector:
+    """Return det J (p, k) at points (p, dim) of cells with nodes (gdim, n, k) of degree 1 or 2."""
+    return _determinant([D @ x for D in _compat.shape_gradients(cell.name, degree, points)])
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:

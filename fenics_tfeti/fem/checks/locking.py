@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -93,7 +93,7 @@ def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
     poisson = float(0.5 * lame / (1.0 + lame))
     if poisson > _NEARLY_INCOMPRESSIBLE and not type_.is_simplex:
         mu = 0.5 * moduli[:-1].mean()
-        if _resisted(x, K, mu, (moduli[-1] - 2.0 * mu) / d) < _RESISTED:
+        if _resisted(type_, x, K, mu, (moduli[-1] - 2.0 * mu) / d) < _RESISTED:
             return 0.0
     return poisson
 
@@ -109,49 +109,27 @@ def _strains(d: int) -> list[Vector]:
     return strains
 
 
-def _resisted(x: Vector, K: Vector, mu_volume: float, lambda_volume: float) -> float:
+def _resisted(type_: ReferenceCell, x: Vector, K: Vector, mu: float, lmbda: float) -> float:
     """Return the share of dilatations varying within a cell that the volumetric term resists.
 
     For the products of two coordinates as displacements along one of them, as in bending: 1 with
-    all points of integration, 0 with one.
+    all points of integration, 0 with one. The moduli are times the volume.
     """
-    d = x.shape[1]
-    pairs = [(a, b) for a, b in product(range(d), repeat=2) if a != b]
+    pairs = [(a, b) for a, b in product(range(type_.dim), repeat=2) if a != b]
     modes = np.zeros((len(pairs), *x.shape))
     for mode, (a, b) in zip(modes, pairs, strict=True):
         mode[:, a] = x[:, a] * x[:, b]
-    volume, squares, means, shear = 0.0, 0.0, np.zeros(len(modes)), 0.0
-    for gradients, weight in _gauss_points(x):
-        slopes = np.einsum("mva,vb->mab", modes, gradients)
-        strain = 0.5 * (slopes + slopes.transpose(0, 2, 1))
-        dilatation = np.trace(strain, axis1=1, axis2=2)
-        volume += weight
-        squares += weight * float(dilatation @ dilatation)
-        means += weight * dilatation
-        shear += weight * 2.0 * float(np.sum(strain**2))
+    points, weights = quadrature(type_.name, 3)
+    derivatives = np.moveaxis(_compat.shape_gradients(type_.name, 1, points), 0, 2)
+    jacobian = x.T @ derivatives
+    weights = weights * np.abs(np.linalg.det(jacobian))
+    slopes = np.einsum("mva,qvb->qmab", modes, derivatives @ np.linalg.inv(jacobian))
+    strain = 0.5 * (slopes + np.swapaxes(slopes, 2, 3))
+    dilatation = np.trace(strain, axis1=2, axis2=3)
+    squares = float(weights @ np.sum(dilatation**2, axis=1))
+    means, volume = weights @ dilatation, float(weights.sum())
     constant = float(means @ means) / volume
+    shear = 2.0 * float(weights @ np.sum(strain**2, axis=(1, 2, 3)))
     flat = modes.reshape(len(modes), -1)
     energy = float(np.einsum("mi,ij,mj->", flat, K, flat))
-    resistance = (energy * volume - mu_volume * shear) / lambda_volume
-    return (resistance - constant) / (squares - constant)
-
-
-def _gauss_points(x: Vector) -> list[tuple[Vector, float]]:
-    """Return gradients of the shape functions (v, d), and det J times the weight, at 2^d points."""
-    v, d = x.shape
-    bits = np.arange(v)[:, None] >> np.arange(d) & 1
-    gradients = []
-    for point in product((0.5 - np.sqrt(1 / 12), 0.5 + np.sqrt(1 / 12)), repeat=d):
-        factors = np.where(bits, point, 1.0 - np.array(point))
-        derivatives = np.stack(
-            [
-                (2.0 * bits[:, k] - 1.0) * np.delete(factors, k, axis=1).prod(axis=1)
-                for k in range(d)
-            ],
-            axis=1,
-        )
-        jacobian = x.T @ derivatives
-        gradients.append(
-            (derivatives @ np.linalg.inv(jacobian), abs(np.linalg.det(jacobian)) / 2**d)
-        )
-    return gradients
+    return ((energy * volume - mu * shear) / lmbda - constant) / (squares - constant)

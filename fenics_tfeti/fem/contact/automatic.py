@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -99,7 +99,7 @@ def find_contacts(
     check_cells(mesh, bodies)
     facets = ExteriorFacets.of(mesh, bodies)
     opposite = _without_glued(comm, _opposite_facets(comm, facets, distance), bodies)
-    opposite = opposite.select(_is_from_slave(comm, opposite, facets.sizes()))
+    opposite = opposite[_is_from_slave(comm, opposite[:, :3], facets.sizes())]
     surfaces = _surfaces(comm, opposite, facets, whole_faces)
     with raise_collectively(comm):
         if not surfaces and comm.rank == 0:
@@ -128,23 +128,14 @@ def find_contacts(
     return contacts
 
 
-@dataclass(frozen=True)
-class _Opposite:
-    """Facets (p,) of this rank, and for each one opposite it on another body."""
-
-    bodies: Numbers  # (p, 2): bodies of the facet and of the one opposite
-    facet: Numbers
-    other: Numbers  # numbers over all ranks of the facets opposite
-
-    def select(self, rows: Mask) -> _Opposite:
-        """Leave out facets."""
-        return _Opposite(self.bodies[rows], self.facet[rows], self.other[rows])
-
-
 def _opposite_facets(
     comm: MPI.Intracomm, facets: ExteriorFacets, distance: float | None
-) -> _Opposite:
-    """Find the facets opposite to those of this rank. Collective."""
+) -> Numbers:
+    """Find the facets opposite to those of this rank. Collective.
+
+    Rows (p, 4) are the bodies of a facet and of the one opposite it, the facet, and the number of
+    the other over all ranks.
+    """
     x, n = facets.corners, facets.number.size
     v, gdim = x.shape[1:]
     reach = facets.sizes() if distance is None else np.full(n, float(distance))
@@ -158,8 +149,7 @@ def _opposite_facets(
     nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
     points = corners.reshape(-1, gdim)[first]
     others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
-    none = np.zeros(0, dtype=np.int64)
-    parts = [(none.reshape(0, 2), none, none)]
+    parts = [np.zeros((0, 4), dtype=np.int64)]
     if n:
         surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
         planes, tree = Planes.of(x), MasterTree(others.facets)
@@ -169,9 +159,9 @@ def _opposite_facets(
             cells = cells.select_pairs(body[cells.master] != facets.body[cells.slave])
             cells = cells.select_pairs(_is_near(cells, planes, others, body, reach))
             cells = nearest_layers(cells, planes, tree)
-            bodies = np.column_stack([facets.body[cells.slave], body[cells.master]])
-            parts.append((bodies, cells.slave, number[cells.master]))
-    return _Opposite(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+            bodies = (facets.body[cells.slave], body[cells.master])
+            parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
+    return np.concatenate(parts)
 
 
 def _is_near(
@@ -196,29 +186,30 @@ def _is_near(
     return near
 
 
-def _without_glued(comm: MPI.Intracomm, opposite: _Opposite, bodies: Bodies) -> _Opposite:
+def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Numbers:
     """Leave out bodies that are glued to each other, with a warning. Collective."""
-    part = bodies.part[opposite.bodies]
-    glued = part[:, 0] == part[:, 1]
-    pairs = np.unique(concatenate_ranks(comm, np.sort(opposite.bodies[glued], axis=1)), axis=0)
+    first, second = bodies.part[opposite[:, :2]].T
+    glued = first == second
+    pairs = np.unique(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)), axis=0)
     with raise_collectively(comm):
         if len(pairs) and comm.rank == 0:
-            first, second = (bodies.names[body] for body in pairs[0])
+            names = " and ".join(bodies.names[body] for body in pairs[0])
             warnings.warn(
                 f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
-                f"contact, because they are connected through facets: the first {first} and "
-                f"{second}. Where they may touch, tag their surfaces and add a ContactPair",
+                f"contact, because they are connected through facets: the first {names}. Where "
+                "they may touch, tag their surfaces and add a ContactPair",
                 stacklevel=4,
             )
-    return opposite.select(~glued)
+    apart: Numbers = opposite[~glued]
+    return apart
 
 
-def _is_from_slave(comm: MPI.Intracomm, opposite: _Opposite, sizes: Vector) -> Mask:
-    """Tell which facets (p,) are those of the slave of two bodies. Collective.
+def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, sizes: Vector) -> Mask:
+    """Tell which rows (p, 3), of two bodies and a facet, are of the two bodies' slave. Collective.
 
     It is the body with the larger facets in contact, of equal ones that with the lower number.
     """
-    rows = np.unique(np.column_stack([opposite.bodies, opposite.facet]), axis=0)
+    rows = np.unique(opposite, axis=0)
     pairs, inverse = np.unique(rows[:, :2], axis=0, return_inverse=True)
     sums = np.zeros((len(pairs), 2))
     np.add.at(sums, inverse.ravel(), np.column_stack([sizes[rows[:, 2]], np.ones(len(rows))]))
@@ -232,18 +223,18 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: _Opposite, sizes: Vector) -> M
         other = size_of.get((second, first), 0.0)
         equal = abs(own - other) <= RELATIVE_ROUNDING * own
         is_slave[first, second] = first < second if equal else own > other
-    return np.array([is_slave[pair] for pair in map(tuple, opposite.bodies.tolist())], dtype=bool)
+    return np.array([is_slave[pair] for pair in map(tuple, opposite[:, :2].tolist())], dtype=bool)
 
 
 def _surfaces(
-    comm: MPI.Intracomm, opposite: _Opposite, facets: ExteriorFacets, whole_faces: bool
+    comm: MPI.Intracomm, opposite: Numbers, facets: ExteriorFacets, whole_faces: bool
 ) -> dict[tuple[int, int, int], tuple[Numbers, Numbers]]:
     """Return this rank's facets of slave and master of each pair. Collective.
 
     The keys, alike on all ranks, are the bodies of slave and master and the side of the slave.
     """
     face = facets.faces(comm)
-    slaves = np.unique(np.column_stack([opposite.bodies, opposite.facet]), axis=0)
+    slaves = np.unique(opposite[:, :3], axis=0)
     if whole_faces:
         slaves = _extended(comm, slaves, face)
     side_of = _sides(comm, slaves, facets, face)
@@ -253,8 +244,7 @@ def _surfaces(
         return np.column_stack([rows[:, :2], np.array(sides, dtype=np.int64)])
 
     slaves = np.column_stack([keys(slaves), slaves[:, 2]])
-    own = np.column_stack([opposite.bodies, opposite.facet])
-    masters = np.unique(np.column_stack([keys(own), opposite.other]), axis=0)
+    masters = np.unique(np.column_stack([keys(opposite[:, :3]), opposite[:, 3]]), axis=0)
     masters = _sent_to_owners(comm, masters, facets.number.size)
     if whole_faces:
         masters = _extended(comm, masters, face)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -148,6 +148,35 @@ class ContactPairing(Conditions):
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
+
+
+@dataclass(frozen=True)
+class SlaveValues:
+    """Values at slave nodes of contacts that this rank owns; zero at other nodes."""
+
+    contact: Numbers  # (k,): the place of the contact among those that can open
+    nodes: Numbers  # (k,): local numbers
+    values: Array  # (k, ...)
+
+    @staticmethod
+    def of(parts: Iterable[tuple[Numbers, Array]], *shape: int) -> SlaveValues:
+        """Return values (k, *shape) at nodes (k,) of each contact, in order."""
+        parts = [(np.zeros(0, dtype=np.int64), np.zeros((0, *shape))), *parts]
+        contact = np.repeat(np.arange(len(parts)) - 1, [nodes.size for nodes, _ in parts])
+        return SlaveValues(contact, *(np.concatenate(c) for c in zip(*parts, strict=True)))
+
+    def at(self, contact: int, nodes: Numbers) -> Array:
+        """Return the values (q, ...) at distinct nodes of a contact."""
+        own = np.flatnonzero(self.contact == contact)
+        found = np.zeros((nodes.size, *self.values.shape[1:]))
+        _, rows, position = np.intersect1d(nodes, self.nodes[own], return_indices=True)
+        found[rows] = self.values[own[position]]
+        return found
+
+    def of_first(self, contacts: int) -> SlaveValues:
+        """Return those of the first contacts."""
+        kept = self.contact < contacts
+        return SlaveValues(self.contact[kept], self.nodes[kept], self.values[kept])
 
 
 def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:

@@ -14,7 +14,7 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing, contact_rows, openings
+from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
 from fenics_tfeti.fem.contact.matching import match_contacts
@@ -49,7 +49,6 @@ from fenics_tfeti.fem.contact.slip import (
     friction_result,
     friction_rows,
     nodal_friction,
-    obstacle_displacements,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.ties.description import (
@@ -221,7 +220,7 @@ class ContactSet:
         frame, place = self.bodies.frames[number], self.bodies.places[number]
         u = origin.displacement.reshape(-1, nodes.components)
         start = pairing.relative(nodes, nodes.coordinates + u)
-        earlier = origin.obstacles[k].reshape(-1, nodes.components)[pairing.slave - nodes.first]
+        earlier = origin.obstacles.at(k, self.dofs(pairing.slave))
         now = place.undeformed_places(frame.body, on.slave)
         slid = place.turn(now - (start - earlier))
         ahead = frame.displacements(self.bodies.ahead(number, self.from_here), on.places)
@@ -298,7 +297,7 @@ class ContactSet:
             k = bodies.number(found.body)
             new = found.measured(uh, None if k is None else bodies.places[k])
             measured.append(new)
-            after = replace(found, pairing=new.pairing(found.pairing))
+            after = replace(found, pairing=new.pairing)
             contacts.append(
                 after if k is None else self._on_body(after, bodies, k, uh, new.distance)
             )
@@ -388,7 +387,7 @@ class ContactSet:
             pairing.name,
             ContactEntry(**forces, pairing=found.undeformed.summary, **roles.entries()),
             pairing.slave,
-            self._dofs(pairing.slave),
+            self.dofs(pairing.slave),
             pairing.coordinates,
             found.gap,
             opening,
@@ -406,7 +405,7 @@ class ContactSet:
                 solution.sticking[sites],
                 solution.slip_bound[sites],
             ),
-            comm=self.boundary.space.mesh.comm,
+            comm=self.boundary.nodes.comm,
         )
 
     def _tied_result(
@@ -429,15 +428,15 @@ class ContactSet:
             tie.name,
             entry,
             tie.nodes,
-            self._dofs(tie.nodes),
+            self.dofs(tie.nodes),
             tie.coordinates,
             force,
             force / tie.area[:, None],
             tie.area,
-            self.boundary.space.mesh.comm,
+            self.boundary.nodes.comm,
         )
 
-    def _dofs(self, nodes: Numbers) -> Numbers:
+    def dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
         dofs: Numbers = nodes - self.boundary.nodes.first
         return dofs
@@ -464,25 +463,24 @@ class SolvedContacts:
             numbered[tie.number] = tied_result
         return Results([numbered[number] for number in sorted(numbered)])
 
-    def obstacle_displacements(self) -> Vector:
-        """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-        conditions, friction = self.conditions, list(self.conditions.friction)
-        for i, found in enumerate(conditions.contacts):
-            k, on, nodal = self.bodies.number(found.body), found.on_body, friction[i]
-            if k is not None and on is not None and nodal is not None:
-                frame, before = self.bodies.frames[k], conditions.bodies.places[k]
-                step = frame.displacements(self.bodies.motions[k] - before.motion, on.places)
-                moved = on.slave - before.undeformed_places(frame.body, on.slave) + step
-                friction[i] = replace(nodal, obstacle_displacement=moved)
-        return obstacle_displacements(conditions.boundary.nodes, conditions.pairings, friction)
+    def obstacle_displacements(self) -> SlaveValues:
+        """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
+        conditions, parts = self.conditions, []
+        gdim = conditions.boundary.nodes.components
+        for found in conditions.contacts:
+            k, on, moved = self.bodies.number(found.body), found.on_body, np.zeros((0, gdim))
+            if found.friction is not None:
+                moved = found.friction.obstacle_displacement
+                if k is not None and on is not None:
+                    frame, before = self.bodies.frames[k], conditions.bodies.places[k]
+                    step = frame.displacements(self.bodies.motions[k] - before.motion, on.places)
+                    moved = on.slave - before.undeformed_places(frame.body, on.slave) + step
+            parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
+        return SlaveValues.of(parts, gdim)
 
-    def nodal_forces(self) -> Vector:
-        """Return the normal forces (contacts, nodes) at the nodes that this rank owns [N]."""
-        size = self.conditions.boundary.nodes.owned
-        force = np.zeros((len(self.contacts), size))
-        for values, result in zip(force, self.contacts, strict=True):
-            values[result.dofs] = result.normal_force
-        return force
+    def nodal_forces(self) -> SlaveValues:
+        """Return the normal forces (k,) [N]."""
+        return SlaveValues.of((result.dofs, result.normal_force) for result in self.contacts)
 
     def gathered(self) -> list[SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank. Collective."""

@@ -32,25 +32,17 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class DeformedContact:
-    """A contact in the deformed state, at the k slave nodes that this rank owns."""
+    """A contact in the deformed state, at the k slave nodes of its conditions before."""
 
-    terms: Terms  # those before; of pairs of nodes with the partners that are opposite now
+    # with the conditions of the deformed surfaces, whose gaps are bounds of the total displacement:
+    # between nodes with the partners that are opposite now, of mortars at other nodes perhaps
+    pairing: ContactPairing
     normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
-    # (k,): bound of (u_slave - u_partner)'n, of the total displacement, may be infinite [m]
-    gap: Vector
     distance: Vector  # (k,) from the master or obstacle along the normal; negative inside [m]
     penetration: Vector  # depth in the master body or obstacle (k,); 0 outside [m]
     # (k,): distance along the surface, relative to the facets' size, between the parts of the
     # master that mortar conditions before and the new ones couple; None without
     slip: Vector | None = None
-    # new conditions, whose nodes may be others; the other fields are for those before
-    mortar: ContactPairing | None = None
-
-    def pairing(self, earlier: ContactPairing) -> ContactPairing:
-        """Return the conditions in the deformed state."""
-        if self.mortar is not None:
-            return self.mortar
-        return replace(earlier, terms=self.terms, normal=self.normal, gap=self.gap)
 
 
 def deformed_contact(
@@ -151,13 +143,10 @@ def _deformed_pairs(
     distance, signed = master.faceted().gap_along(slave.points[rows], normal)
     partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
     relative = slave.displacement[rows] - master.displacement[partner]
-    return DeformedContact(
-        Terms.of_nodes(pairing.slave, master.nodes[partner]),
-        normal,
-        distance + np.sum(relative * normal, axis=1),
-        distance,
-        np.maximum(-signed, 0.0),
-    )
+    terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
+    gap = distance + np.sum(relative * normal, axis=1)
+    new = replace(pairing, terms=terms, normal=normal, gap=gap)
+    return DeformedContact(new, normal, distance, np.maximum(-signed, 0.0))
 
 
 def _deformed_mortar(
@@ -176,15 +165,7 @@ def _deformed_mortar(
     offset = pairing.relative(nodes, x)[old_rows] - new.relative(nodes, x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
-    return DeformedContact(
-        pairing.terms,
-        normal,
-        pairing.gap,
-        distance,
-        np.maximum(-distance, 0.0),
-        slip,
-        new,
-    )
+    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
 
 
 def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
@@ -201,5 +182,7 @@ def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
 def _deformed_obstacle(
     contact: RigidObstacle, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    normal, gap, distance = deformed_gaps(contact, pairing, displacement)
-    return DeformedContact(pairing.terms, normal, gap, distance, np.maximum(-distance, 0.0))
+    surface, terms = pairing.surface, pairing.terms
+    normal, gap, distance, _ = deformed_gaps(contact, pairing.name, surface, terms, displacement)
+    new = replace(pairing, normal=normal, gap=gap)
+    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))

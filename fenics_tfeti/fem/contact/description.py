@@ -267,13 +267,11 @@ class ContactPair:
     def __post_init__(self) -> None:
         """Check the data."""
         label = label_of(self)
-        check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
-        if self.slave == self.master:
-            raise InputError(
-                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
-                "of its own. Where it is one surface between two bodies that share its nodes, "
-                "fenics_tfeti.io.split_interfaces makes two of it"
-            )
+        remedy = (
+            "Where it is one surface between two bodies that share its nodes, "
+            "fenics_tfeti.io.split_interfaces makes two of it"
+        )
+        check_two_surfaces(self, label, remedy)
         _check_friction(self.friction, label)
         _check_initial_gap(self.initial_gap, label)
         if self.normal is not None and not callable(self.normal):
@@ -394,12 +392,7 @@ class TiedPair:
     def __post_init__(self) -> None:
         """Check the data."""
         label = label_of(self)
-        check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
-        if self.slave == self.master:
-            raise InputError(
-                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
-                "of its own. Bodies that share the nodes of a surface are tied already"
-            )
+        check_two_surfaces(self, label, "Bodies that share the nodes of a surface are tied already")
 
 
 Contact: TypeAlias = ContactPair | RigidObstacle
@@ -467,6 +460,16 @@ def check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
                 "values of facet_tags. Surfaces have numbers, not names; to use several tags, "
                 "join them under one"
             )
+
+
+def check_two_surfaces(pair: Any, label: str, remedy: str) -> None:
+    """Check tags of facets, and those of the slave and the master, which differ."""
+    check_surfaces(pair.facet_tags, {"slave": pair.slave, "master": pair.master}, label)
+    if pair.slave == pair.master:
+        raise InputError(
+            f"{label}: slave and master have the same tag {pair.slave}; each surface needs one of "
+            f"its own. {remedy}"
+        )
 
 
 def _check_tolerance(partners: NodePartners) -> None:

@@ -16,10 +16,11 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import ContactPairing, row_values
+from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, row_values
 from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import vertex_nodes
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
@@ -36,23 +37,13 @@ class SlipOrigin:
     """The state from which slip is counted: the end of the last load step."""
 
     displacement: Vector  # (n,): at the degrees of freedom that this rank owns [m]
-    obstacles: Vector  # (contacts, n): their displacements at the slave's nodes, else zero [m]
+    obstacles: SlaveValues  # displacements (k, gdim) of obstacles [m]
 
     @staticmethod
-    def undeformed(space: FunctionSpace, contacts: int) -> SlipOrigin:
-        """Return the state without displacements."""
-        nodes = NodeMap(space)
-        size = nodes.components * nodes.owned
-        return SlipOrigin(np.zeros(size), np.zeros((contacts, size)))
-
-    def resized(self, contacts: int) -> SlipOrigin:
-        """Return the state for another number of contacts; further ones have not moved."""
-        if contacts == len(self.obstacles):
-            return self
-        obstacles = np.zeros((contacts, self.displacement.size))
-        common = min(contacts, len(self.obstacles))
-        obstacles[:common] = self.obstacles[:common]
-        return SlipOrigin(self.displacement, obstacles)
+    def at(uh: Function) -> SlipOrigin:
+        """Return the state with a displacement; obstacles have not moved."""
+        none = SlaveValues.of([], uh.function_space.dofmap.index_map_bs)
+        return SlipOrigin(owned_values(uh), none)
 
 
 @dataclass(frozen=True)
@@ -165,10 +156,8 @@ def friction_rows(
     gdim = nodes.components
     first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
     parts = [
-        (start + np.arange(pairing.slave.size), nodal, pairing, earlier)
-        for start, pairing, nodal, earlier in zip(
-            first[:-1], pairings, friction, origin.obstacles, strict=True
-        )
+        (first[k] + np.arange(pairing.slave.size), nodal, pairing, k)
+        for k, (pairing, nodal) in enumerate(zip(pairings, friction, strict=True))
         if nodal is not None
     ]
     if not parts:
@@ -184,24 +173,11 @@ def friction_rows(
     slip /= tangential.length.reshape(-1, gdim - 1)
     motion = np.concatenate(
         [
-            nodal.obstacle_displacement - earlier.reshape(-1, gdim)[pairing.slave - nodes.first]
-            for _, nodal, pairing, earlier in parts
+            nodal.obstacle_displacement - origin.obstacles.at(k, pairing.slave - nodes.first)
+            for _, nodal, pairing, k in parts
         ]
     )
     return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, motion))
-
-
-def obstacle_displacements(
-    nodes: NodeMap,
-    pairings: Sequence[ContactPairing],
-    friction: Sequence[NodalFriction | None],
-) -> Vector:
-    """Return each obstacle's displacement at the slave's nodes, as in `SlipOrigin`."""
-    displacements = np.zeros((len(pairings), nodes.owned, nodes.components))
-    for values, pairing, nodal in zip(displacements, pairings, friction, strict=True):
-        if nodal is not None:
-            values[pairing.slave - nodes.first] = nodal.obstacle_displacement
-    return displacements.reshape(len(pairings), nodes.owned * nodes.components)
 
 
 def friction_result(

@@ -1,8 +1,7 @@
 """Stiffness matrices K_i and loads f_i of torn subdomains, from the user's forms (sec. 11.5).
 
-No subdomain has a mesh of its own: the forms are integrated on cells of the user's mesh. K_i are
-sums of element matrices, which the compiled kernels of the form give; the loads are those on a torn
-space, in which cells share nodes within a subdomain only.
+No subdomain has a mesh of its own: the forms are integrated on cells of the user's mesh. K_i
+and f_i are sums of element matrices and vectors, which the compiled kernels of the forms give.
 """
 
 from __future__ import annotations
@@ -33,6 +32,8 @@ logger = logging.getLogger(__name__)
 
 # numbers in the element matrices of the cells that are assembled at once: 8 MB stay in the cache
 _ENTRIES = 2**20
+# cells whose element vectors are added at once
+_CELLS = 2**16
 
 
 @dataclass(frozen=True)
@@ -84,14 +85,25 @@ class PreparedForms:
         ]
 
     def loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
-        """Assemble f_i of this rank's subdomains. Collective."""
-        V, ends = self._torn_space(parts)
-        load = _compat.assemble_load(self.linear.bind([V], [part.cells for part in parts]))
-        return [load[begin:end].copy() for begin, end in pairwise(ends)]
+        """Assemble f_i of this rank's subdomains."""
+        block, ends = self.space.dofmap.index_map_bs, [0]
+        cells, tables = [np.zeros(0, dtype=np.int32)], [np.zeros((0, 1), dtype=np.int32)]
+        for part in parts:
+            rows = self.linear.integrated(part.cells)
+            cells.append(part.cells[rows])
+            tables.append(part.table[rows] + ends[-1])
+            ends.append(ends[-1] + part.nodes.size)
+        load, chosen = np.zeros(block * ends[-1]), np.concatenate(cells)
+        nodes = np.concatenate(tables[1:] or tables)
+        for batch in batches(chosen.size, _CELLS):
+            vectors = self.linear.element_tensors(self.space, chosen[batch])
+            unknowns = block * nodes[batch, :, None] + np.arange(block)
+            load += np.bincount(unknowns.ravel(), vectors.ravel(), load.size)
+        return [load[block * i : block * j].copy() for i, j in pairwise(ends)]
 
     def cell_matrices(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
         """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
-        return self.bilinear.element_matrices(self.space, cells)
+        return self.bilinear.element_tensors(self.space, cells)
 
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
@@ -147,16 +159,6 @@ class PreparedForms:
                 T = np.kron(np.eye(nodes.shape[1]), part.rotation)
                 matrices[i] = T.T @ matrices[i] @ T
         return matrices
-
-    def _torn_space(self, parts: Sequence[Part]) -> tuple[FunctionSpace, list[int]]:
-        """Return a space with the parts' nodes, part by part, and the parts' first unknowns."""
-        ends = np.cumsum([0, *(part.nodes.size for part in parts)])
-        # dolfinx needs nodes on all cells: those of no part share one node behind all others
-        dofs = np.full(_compat.cell_dofs(self.space).shape, ends[-1], dtype=np.int32)
-        for part, begin in zip(parts, ends, strict=False):
-            dofs[part.cells] = part.table + begin
-        block = self.space.dofmap.index_map_bs
-        return _compat.space_with_dofs(self.space, dofs, int(ends[-1]) + 1), list(block * ends)
 
 
 def prepare_forms(

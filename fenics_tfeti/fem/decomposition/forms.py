@@ -45,6 +45,7 @@ class PreparedForm:
     """A compiled form, with the tags of its integrals on the user's cells and facets."""
 
     name: str  # for messages
+    rank: int  # number of arguments
     compiled: _compat.CompiledForm
     coefficients: list[Function]
     constants: list[Any]
@@ -54,26 +55,19 @@ class PreparedForm:
     facet_ids: list[int]
     translation_invariant: bool  # a translated cell has the same element matrix
 
-    def bind(self, spaces: list[FunctionSpace], cells: Sequence[Indices]) -> Any:
-        """Bind the form to torn spaces and to the cells of some parts."""
-        rows = np.sort(np.concatenate([np.zeros(0, dtype=np.int32), *cells]))
-        # each tag of the form has to be bound, also where none of these cells has it
-        tagged_cells: dict[int, Indices] = {}
-        tagged_facets: dict[int, Indices] = {}
+    def integrated(self, cells: Indices) -> NDArray[np.bool_]:
+        """Tell which of some of this rank's cells the form has integrals over, or over facets."""
+        mask = np.zeros(cells.size, dtype=bool)
         if self.cell_tag is not None:
-            tag = self.cell_tag[rows]
-            tagged_cells = {t: rows[tag == t] for t in self.cell_ids}
+            mask |= np.isin(self.cell_tag[cells], self.cell_ids)
         if self.facet_tag is not None:
-            tags = self.facet_tag[rows]
-            for t in self.facet_ids:
-                position, facet = np.nonzero(tags == t)
-                tagged_facets[t] = np.column_stack([rows[position], facet]).astype(np.int32)
-        return self.compiled.bind(spaces, tagged_cells, tagged_facets)
+            mask |= np.isin(self.facet_tag[cells], self.facet_ids).any(axis=1)
+        return mask
 
-    def element_matrices(self, space: FunctionSpace, cells: Indices) -> Vector:
-        """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
+    def element_tensors(self, space: FunctionSpace, cells: Indices) -> Vector:
+        """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
         n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
-        matrices = np.zeros((cells.size, n, n))
+        tensors = np.zeros((cells.size, *(n,) * self.rank))
         values = [_values_of_cells(w, cells) for w in self.compiled.coefficients]
         flat = [v.reshape(cells.size, -1) for v in values]
         coefficients = np.hstack([np.zeros((cells.size, 0)), *flat])
@@ -86,9 +80,9 @@ class PreparedForm:
             facets = facet[0].astype(np.int32) if facet else None
             if rows.size:
                 self.compiled.add_element_tensors(
-                    kernel, matrices, rows, coefficients, coordinates, facets
+                    kernel, tensors, rows, coefficients, coordinates, facets
                 )
-        return matrices
+        return tensors
 
     def values(self) -> list[NDArray[np.float64]]:
         """Return copies of the coefficients' and constants' present values; NaN is an error."""
@@ -140,6 +134,7 @@ def prepare_form(
         facet_tag = np.where(exterior, tags[facet_of[:owned]], _NO_TAG)
     return PreparedForm(
         name,
+        len(form.arguments()),
         _compat.CompiledForm(form, domain.comm, compiler),
         list(form.coefficients()),
         list(form.constants()),

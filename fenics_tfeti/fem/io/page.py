@@ -18,6 +18,7 @@ _STYLE = Path(__file__).with_name("page.css")
 _QUANTITIES = {
     "displacement": "length", "contact_pressure": "pressure", "von_mises_stress": "pressure",
 }  # fmt: skip
+_MARGIN = {"l": 70, "r": 15, "t": 10, "b": 45}
 _MAGNIFICATIONS = np.linspace(0.0, 2.0, 5)  # relative to that which makes displacements visible
 
 
@@ -76,53 +77,38 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
 
 
+def _section(title: str, rows: Sequence[Sequence[Any]]) -> list[str]:
+    """Return a table with a title, if it has rows below its head."""
+    table = f'<div class="wide">{_table(rows, head=True)}</div>'
+    return [f"<h2>{title}</h2>", table] if len(rows) > 1 else []
+
+
 def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
-    contacts, has_friction = report["contacts"], bool(report["unknowns"]["friction"])
-    if not contacts:
-        return []
-    force = f"[{units.force}]"
-    rows: list[Sequence[Any]] = [
-        ("contact", f"normal force {force}", f"force on the slave {force}", "pairs")
-    ]
-    if has_friction:
-        rows = [(*rows[0], f"work of friction [{units.energy}]")]
-    for contact in contacts:
+    columns, force = 5 if report["unknowns"]["friction"] else 4, f"[{units.force}]"
+    head = ("contact", f"normal force {force}", f"force on the slave {force}", "pairs")
+    rows: list[Sequence[Any]] = [(*head, f"work of friction [{units.energy}]")[:columns]]
+    for contact in report["contacts"]:
         vector = ", ".join(map(_number, contact["force"]))
-        row = (
-            contact["name"],
-            _number(contact["normal_force"]),
-            vector,
-            contact["pairing"]["pairs"],
-        )
-        rows.append((*row, _number(contact["friction_work"])) if has_friction else row)
-    return ["<h2>Contact</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+        pairs, work = contact["pairing"]["pairs"], _number(contact["friction_work"])
+        row = (contact["name"], _number(contact["normal_force"]), vector, pairs, work)
+        rows.append(row[:columns])
+    return _section("Contact", rows)
 
 
 def _bolts(report: Mapping[str, Any], units: Units) -> list[str]:
     bolts = [contact for contact in report["contacts"] if contact["tension"] is not None]
-    if not bolts:
-        return []
     rows = [("bolt", f"tension [{units.force}]", f"shortening [{units.length}]")]
     rows += [(b["name"], _number(b["tension"]), _number(b["shortening"])) for b in bolts]
-    return ["<h2>Bolts</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+    return _section("Bolts", rows)
 
 
 def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:
-    if not report["rigid_bodies"]:
-        return []
-    columns = {
-        "translation": units.length,
-        "rotation": "rad",
-        "force": units.force,
-        "reaction": units.force,
-    }
-    rows: list[Sequence[Any]] = [
-        ("rigid body", *(f"{name} [{unit}]" for name, unit in columns.items()))
-    ]
+    columns = {"translation": units.length, "rotation": "rad"}
+    columns |= {"force": units.force, "reaction": units.force}
+    rows = [("rigid body", *(f"{name} [{unit}]" for name, unit in columns.items()))]
     for body in report["rigid_bodies"]:
-        vectors = (", ".join(map(_number, body[name])) for name in columns)
-        rows.append((body["name"], *vectors))
-    return ["<h2>Rigid bodies</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+        rows.append((body["name"], *(", ".join(map(_number, body[name])) for name in columns)))
+    return _section("Rigid bodies", rows)
 
 
 def _certificate(report: Mapping[str, Any]) -> list[str]:
@@ -137,17 +123,15 @@ def _certificate(report: Mapping[str, Any]) -> list[str]:
         for group in certificate["groups"]
     ]
     rows += [(f"share of {body['body']}", _number(body["error"])) for body in certificate["bodies"]]
-    return ["<h2>Certificate</h2>", f'<div class="wide">{_table(rows, head=True)}</div>']
+    return _section("Certificate", rows)
 
 
 def _details(report: Mapping[str, Any]) -> list[str]:
-    sections = []
-    for name in ("options", "versions", "unknowns", "products"):
-        table = _table(list(report[name].items()))
-        sections.append(
-            f'<details><summary>{name}</summary><div class="wide">{table}</div></details>'
-        )
-    return sections
+    return [
+        f'<details><summary>{name}</summary><div class="wide">{_table(report[name].items())}</div>'
+        "</details>"
+        for name in ("options", "versions", "unknowns", "products")
+    ]
 
 
 def _table(rows: Iterable[Sequence[Any]], head: bool = False) -> str:
@@ -188,36 +172,23 @@ def _convergence(report: Mapping[str, Any], units: Units) -> go.Figure:
         for steps, residual, label in curves
         if report[steps]
     ]
-    return go.Figure(
-        traces,
-        {
-            "xaxis": {"title": "products with F", "rangemode": "tozero"},
-            "yaxis": {"type": "log", "exponentformat": "power"},
-            "showlegend": True,
-            "legend": {"orientation": "h", "y": 1.12},
-            "margin": {"l": 70, "r": 15, "t": 10, "b": 45},
-        },
-    )
+    layout = {"showlegend": True, "legend": {"orientation": "h", "y": 1.12}, "margin": _MARGIN}
+    layout |= {"xaxis": {"title": "products with F", "rangemode": "tozero"}}
+    return go.Figure(traces, layout | {"yaxis": {"type": "log", "exponentformat": "power"}})
 
 
 def _passes(passes: Sequence[Mapping[str, Any]]) -> go.Figure:
     error = _positive(entry["error"] for entry in passes)
     trace = go.Scatter(x=list(range(1, len(passes) + 1)), y=error, mode="lines+markers")
-    return go.Figure(
-        trace,
-        {
-            "xaxis": {"title": "pass", "dtick": 1},
-            "yaxis": {"type": "log", "title": "relative error", "exponentformat": "power"},
-            "margin": {"l": 70, "r": 15, "t": 10, "b": 45},
-        },
-    )
+    error_axis = {"type": "log", "title": "relative error", "exponentformat": "power"}
+    layout = {"xaxis": {"title": "pass", "dtick": 1}, "yaxis": error_axis, "margin": _MARGIN}
+    return go.Figure(trace, layout)
 
 
 def _phases(seconds: Mapping[str, float]) -> go.Figure:
     phases = {name: time for name, time in reversed(list(seconds.items())) if name != "total"}
     bars = go.Bar(x=list(phases.values()), y=list(phases), orientation="h")
-    margin = {"l": 130, "r": 15, "t": 10, "b": 45}
-    return go.Figure(bars, {"xaxis": {"title": "seconds"}, "margin": margin})
+    return go.Figure(bars, {"xaxis": {"title": "seconds"}, "margin": {**_MARGIN, "l": 130}})
 
 
 def _bodies(scene: Scene, units: Units) -> go.Figure:

@@ -6,6 +6,7 @@ Multipliers belong to slave nodes: those of one step press along the normals of 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -14,7 +15,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.fem.contact.contact import row_values
+from fenics_tfeti.fem.contact.contact import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
@@ -53,10 +54,19 @@ class DeformedRows:
         )
 
     @property
-    def contact(self) -> Numbers:
-        """The place of each row's contact among those that can open (k,)."""
-        sizes = [pairing.slave.size for pairing in self.conditions.pairings]
-        return np.repeat(np.arange(len(sizes)), sizes)
+    def surface_nodes(self) -> Numbers:
+        """The global nodes (s,) of the slaves' surfaces, one contact after the other."""
+        nodes = [pairing.surface.nodes for pairing in self.conditions.pairings]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
+
+    @cached_property
+    def place(self) -> Numbers:
+        """The place of each row's slave node among `surface_nodes` (k,)."""
+        first, places = 0, [np.zeros(0, dtype=np.int64)]
+        for pairing in self.conditions.pairings:
+            places.append(first + pairing.on_surface)
+            first += pairing.surface.nodes.size
+        return np.concatenate(places)
 
     @property
     def distance(self) -> Vector:
@@ -66,22 +76,23 @@ class DeformedRows:
 
     def pair_force(self, multipliers: Multipliers) -> Vector:
         """Return the normal forces of contact pairs alone at the nodes as `force`. Collective."""
-        is_pair = [isinstance(found.contact, ContactPair) for found in self.conditions.contacts]
-        pressing = np.where(np.array(is_pair, dtype=bool)[:, None], multipliers.normal, 0.0)
-        tangential = np.zeros_like(multipliers.tangential)
-        tied = np.zeros_like(multipliers.tied)
-        return self.force(Multipliers(pressing, tangential, tied))[0]
+        of_pairs = Multipliers.none(self)
+        size = 0
+        for found in self.conditions.contacts:
+            rows = slice(size, size + found.pairing.surface.nodes.size)
+            size = rows.stop
+            if isinstance(found.contact, ContactPair):
+                of_pairs.normal[rows] = multipliers.normal[rows]
+        return self.force(of_pairs)[0]
 
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
 
         With it that at the nodes (b, gdim) beyond those of the mesh, up to the last rigid body's.
         """
-        nodes = self.conditions.boundary.nodes
-        slave = self.contacts.slave - nodes.first
-        normal = multipliers.normal[self.contact, slave]
-        site = self.friction.row
-        traction = multipliers.tangential[self.contact[site], slave[site]]
+        nodes, site = self.conditions.boundary.nodes, self.friction.row
+        normal = multipliers.normal[self.place]
+        traction = multipliers.tangential[self.place[site]]
         tangential = np.einsum("kta,ka->kt", self.friction.tangents, traction).ravel()
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
@@ -99,54 +110,55 @@ class DeformedRows:
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Multipliers of contact at the nodes that this rank owns, and of tied rows.
+    """Multipliers of contact at the nodes of the slaves' surfaces, and of tied rows.
 
-    They are forces over the lengths of rows: pressures in mortar conditions, forces otherwise.
+    The nodes are those of `DeformedRows.surface_nodes`: in steps whose conditions are at other
+    nodes multipliers have the same size. They are forces over the lengths of rows: pressures in
+    mortar conditions, forces otherwise.
     """
 
-    normal: Vector  # (contacts, nodes)
-    tangential: Vector  # (contacts, nodes, gdim), against the force on the slave
+    normal: Vector  # (s,)
+    tangential: Vector  # (s, gdim), against the force on the slave
     tied: Vector  # (tied rows,)
+
+    @staticmethod
+    def none(rows: DeformedRows) -> Multipliers:
+        """Return zeros."""
+        size, gdim = rows.surface_nodes.size, rows.conditions.boundary.nodes.components
+        return Multipliers(np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size))
 
     @staticmethod
     def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
         """Return those of a solution for the rows."""
-        nodes, length = rows.conditions.boundary.nodes, rows.contacts.length
-        normal, tangential = _zeros(nodes, len(rows.conditions.contacts))
-        contact, slave = rows.contact, rows.contacts.slave - nodes.first
-        normal[contact, slave] = solution.normal_force / length
-        site = rows.friction.row
-        tangential[contact[site], slave[site]] = np.einsum(
+        new, length, site = Multipliers.none(rows), rows.contacts.length, rows.friction.row
+        new.normal[rows.place] = solution.normal_force / length
+        new.tangential[rows.place[site]] = np.einsum(
             "kt,kta->ka", solution.tangential_force / length[site, None], rows.friction.tangents
         )
-        return Multipliers(normal, tangential, solution.tied_force / rows.tied.length)
+        return replace(new, tied=solution.tied_force / rows.tied.length)
 
     @staticmethod
-    def from_forces(rows: DeformedRows, force: Vector) -> Multipliers:
-        """Return those of normal forces (contacts, nodes) alone [N]."""
-        normal, tangential = _zeros(rows.conditions.boundary.nodes, len(rows.conditions.contacts))
-        contact, slave = rows.contact, rows.contacts.slave - rows.conditions.boundary.nodes.first
-        normal[contact, slave] = force[contact, slave] / rows.contacts.length
-        return Multipliers(normal, tangential, np.zeros(rows.tied.size))
+    def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
+        """Return those of normal forces (k,) alone [N]."""
+        new, conditions = Multipliers.none(rows), rows.conditions
+        slaves = [conditions.dofs(pairing.slave) for pairing in conditions.pairings]
+        forces = [force.at(k, slave) for k, slave in enumerate(slaves)]
+        new.normal[rows.place] = np.concatenate([np.zeros(0), *forces]) / rows.contacts.length
+        return new
 
     def flat(self) -> Vector:
         """Return all as one vector."""
-        return np.concatenate([self.normal.ravel(), self.tangential.ravel(), self.tied])
+        return np.concatenate([self.normal, self.tangential.ravel(), self.tied])
 
     def from_flat(self, values: Vector) -> Multipliers:
         """Return multipliers of the same shapes; pressures are not negative."""
         ends = np.cumsum([self.normal.size, self.tangential.size])
         normal, tangential, tied = np.split(values, ends)
         return Multipliers(
-            np.maximum(normal, 0.0).reshape(self.normal.shape),
+            np.maximum(normal, 0.0),
             tangential.reshape(self.tangential.shape),
             tied,
         )
-
-
-def _zeros(nodes: NodeMap, contacts: int) -> tuple[Vector, Vector]:
-    shape = (contacts, nodes.owned)
-    return np.zeros(shape), np.zeros((*shape, nodes.components))
 
 
 @dataclass(frozen=True)
@@ -194,7 +206,7 @@ class Equilibrium:
             squares[0] += (rows.conditions.bodies.free_forces(-on_bodies, nodes.total) ** 2).sum()
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
         finite = np.isfinite(rows.distance)
-        loaded = multipliers.normal[rows.contact, rows.contacts.slave - nodes.first] > 0.0
+        loaded = multipliers.normal[rows.place] > 0.0
         largest = np.array(
             [
                 (-rows.distance[finite]).max(initial=0.0),

@@ -1,4 +1,4 @@
-"""Results gathered from all ranks."""
+"""Results gathered from all ranks, by name, and values at slave nodes of contacts."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import ContactResult, InputError
+from fenics_tfeti.fem.contact.contact import SlaveValues
 from fenics_tfeti.fem.contact.result import ContactEntry, Results
 
 
@@ -54,3 +55,11 @@ def test_results_by_number_and_name():
         results["b"]
     with pytest.raises(TypeError):
         results[0] = found[1]
+
+
+def test_values_at_slave_nodes_of_contacts():
+    forces = SlaveValues.of([(np.array([3, 5]), np.array([1.0, 2.0])), (np.array([3]), np.ones(1))])
+    assert forces.at(0, np.array([5, 4, 3])).tolist() == [2.0, 0.0, 1.0]
+    assert forces.at(1, np.array([3, 5])).tolist() == [1.0, 0.0]
+    assert forces.of_first(1).at(1, np.array([3])).tolist() == [0.0]
+    assert SlaveValues.of([], 2).at(0, np.array([3])).tolist() == [[0.0, 0.0]]

@@ -32,7 +32,7 @@ def sideways(gdim, *by):
 
 def true_gap(result, slave, partner):
     """Return how far the deformed slave is from the deformed master."""
-    return result.gap - np.sum((slave - partner) * result.normal, axis=1)
+    return result.pairing.gap - np.sum((slave - partner) * result.normal, axis=1)
 
 
 def wavy(x, *y):
@@ -46,7 +46,7 @@ def wavy(x, *y):
 def test_without_displacement_all_is_as_matched(cell):
     matched, result, _, _ = blocks(cell).deformed()
     np.testing.assert_allclose(result.normal, matched.normal, atol=1e-14)
-    np.testing.assert_allclose(result.gap, matched.gap, atol=1e-14)
+    np.testing.assert_allclose(result.pairing.gap, matched.gap, atol=1e-14)
     assert not result.penetration.any()
 
 
@@ -249,7 +249,7 @@ def test_plane_gives_the_same_row_for_every_displacement(cell):
     expected = scene.pairing(scene.obstacle(plane))
     _, result, _, _ = at_obstacle(scene, plane, turned(0.3, gdim, shift=-0.2)[1])
     np.testing.assert_allclose(result.normal, expected.normal, atol=1e-14)
-    np.testing.assert_allclose(result.gap, expected.gap, atol=1e-14)
+    np.testing.assert_allclose(result.pairing.gap, expected.gap, atol=1e-14)
 
 
 @every_cell
@@ -272,7 +272,7 @@ def test_ball_is_evaluated_at_the_deformed_place(cell):
     normal = -outwards / distance[:, None]
     np.testing.assert_allclose(result.normal, normal, atol=1e-14)
     expected = distance - 2.1 + np.sum(u * normal, axis=1)
-    np.testing.assert_allclose(result.gap, expected, atol=1e-14)
+    np.testing.assert_allclose(result.pairing.gap, expected, atol=1e-14)
     np.testing.assert_allclose(result.penetration, np.maximum(0.0, 2.1 - distance), atol=1e-14)
 
 
@@ -283,7 +283,7 @@ def test_gap_alone_counts_along_the_deformed_normal(cell):
     _, result, y, u = at_obstacle(blocks(cell), lambda x: 0.1 + x[gdim - 1], motion)
     np.testing.assert_allclose(result.normal, np.tile(-Q[:, -1], (len(y), 1)), atol=1e-14)
     expected = 0.1 + y[:, -1] - u @ Q[:, -1]
-    np.testing.assert_allclose(result.gap, expected, atol=1e-14)
+    np.testing.assert_allclose(result.pairing.gap, expected, atol=1e-14)
 
 
 # -- errors --------------------------------------------------------------------------------------
@@ -374,7 +374,7 @@ def test_ghosts_of_the_displacement_are_brought_up_to_date():
     pairing, uh = scene.pairing(scene.pair), scene.displacement()
     result = deformed_contact(scene.pair, pairing, uh)
     assert np.isfinite(uh.x.array).all()
-    np.testing.assert_allclose(result.gap, 0.1, atol=1e-14)
+    np.testing.assert_allclose(result.pairing.gap, 0.1, atol=1e-14)
 
 
 @pytest.mark.ranks(2)

@@ -301,3 +301,10 @@ def test_plane_of_symmetry(lower):
     if lower != 2:
         np.testing.assert_allclose(contact.friction.slip[inside, 1], 0.0, atol=1e-12)
     assert 0 < np.count_nonzero(contact.friction.sticking) < 16
+
+
+def test_what_is_left_of_a_problem_keeps_the_mesh_of_its_communicator(pushed):
+    problem = pushed[0].problem
+    result = problem.results[0]
+    for comm in (problem.system.comm, problem.report.comm, result.comm):
+        assert comm.mesh is problem.space.mesh

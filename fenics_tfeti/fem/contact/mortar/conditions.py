@@ -36,8 +36,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class MortarConditions:
     """Mortar conditions at the k slave nodes that this rank owns."""
 
-    slave: Numbers  # global nodes (k,), ascending
-    terms: Terms
+    terms: Terms  # by ascending slave node
     # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
     normal: Vector
     gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
@@ -49,6 +48,11 @@ class MortarConditions:
     angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
     covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
+
+    @property
+    def slave(self) -> Numbers:
+        """Global slave nodes (k,), ascending."""
+        return self.terms.slave
 
 
 def mortar_conditions(
@@ -92,15 +96,12 @@ def tied_conditions(
     ]
 
 
-def one_sided_conditions(
-    surface: Surface, slave: SurfaceFacets, chosen: Mask
-) -> tuple[Numbers, Terms]:
+def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -> Terms:
     """Integrate over chosen facets (f,) of the slave alone, at a rigid obstacle. Collective.
 
     A uniform pressure on a quadratic triangle gives no force at its vertices: conditions node by
     node would not balance it. As between two surfaces, the multipliers are those of dual functions
-    at the vertices; the master's part is missing. Returned are the slave nodes (k,) that have a
-    condition, ascending, and the terms.
+    at the vertices; the master's part is missing. Returned are the terms by ascending slave node.
     """
     facets = Facets(slave.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[facets.corners]
@@ -125,13 +126,14 @@ def _conditions(
     sharing = SharedMultipliers.of(surface.comm, slave, integrals, parts, free)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
     row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
-    nodes, terms = collect_terms(
+    terms = collect_terms(
         owners,
         row,
         np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[position],
         share * np.concatenate([D.data, -M.data])[position],
         np.repeat([True, False], [D.nnz, M.nnz])[position],
     )
+    nodes = terms.slave
     row, position, share = sharing.rows(slave.nodes)
     normal = slave.normal * matrices.area[:, None]
     integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
@@ -142,7 +144,6 @@ def _conditions(
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
-        nodes,
         terms,
         normal / np.linalg.norm(normal, axis=1, keepdims=True),
         gap / area,
@@ -237,7 +238,7 @@ def _reduce_at_nodes(
 
 def collect_terms(
     owners: Directory, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
-) -> tuple[Numbers, Terms]:
+) -> Terms:
     """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
     `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
@@ -260,7 +261,7 @@ def collect_terms(
     number = np.bincount(condition, minlength=nodes.size)
     slaves = np.bincount(condition[on_slave[order]], minlength=nodes.size).astype(np.int64)
     offsets = np.append(0, np.cumsum(number)).astype(np.int64)
-    return nodes, Terms(offsets, column[order], value[order], slaves)
+    return Terms(offsets, column[order], value[order], slaves)
 
 
 def _largest_of_facets(

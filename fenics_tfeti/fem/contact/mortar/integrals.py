@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,9 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     reference_coordinates,
     shape_functions,
 )
+from fenics_tfeti.fem.reference_cells import quadrature
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.typing import Numbers, Vector
 
 # Covered part of a slave facet, relative to its area, below which it is rounding.
@@ -69,9 +70,8 @@ def integrate(
     if len(slave) and len(master):
         planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
         reach = tree.reach(slave, planes)
-        pieces = len(slave.pieces)
-        for first in range(0, pieces, _BLOCK):
-            chosen = np.arange(first, min(first + _BLOCK, pieces))
+        for block in batches(len(slave.pieces), _BLOCK):
+            chosen = np.arange(block.start, block.stop)
             cells = covering_cells(slave, planes, chosen, tree, reach)
             parts.append(_integrate_cells(cells, slave, planes, master, weight))
     return _join(parts)
@@ -105,21 +105,13 @@ def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
 
 
 def _no_integrals(slave: Facets, master: Facets) -> FacetIntegrals:
-    numbers, values = np.zeros(0, dtype=np.int64), np.zeros(0)
     v, gdim = slave.number_of_corners, slave.points.shape[1]
     t, w = slave.nodes.shape[1], master.nodes.shape[1]
-    return FacetIntegrals(
-        numbers,
-        values,
-        np.zeros((0, v)),
-        np.zeros((0, v)),
-        np.zeros((0, v, v)),
-        np.zeros((0, v, t)),
-        np.zeros((0, v, gdim)),
-        numbers,
-        numbers,
-        np.zeros((0, v, w)),
-    )
+    values = {"covered": (), "share": (v,), "ones": (v,), "mass": (v, v), "trace": (v, t)}
+    values |= {"gap": (v, gdim), "coupling": (v, w)}
+    arrays: dict[str, Any] = {name: np.zeros((0, *shape)) for name, shape in values.items()}
+    none = np.zeros(0, dtype=np.int64)
+    return FacetIntegrals(facet=none, pair=none, master=none, **arrays)
 
 
 def _integrate_cells(
@@ -200,17 +192,17 @@ def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Ve
     With several pieces of a facet the shape functions are of degree 2.
     """
     triangles = cells.on_slave.shape[1] == cells.on_master.shape[1] == 3
-    if cells.corners.shape[2] == 1:
-        return _gauss_on_segment(2 if pieces == 1 else 3)
-    if unweighted and triangles and pieces == 1:
-        return _symmetric((1.0 / 6.0,)), np.full(3, 1.0 / 3.0)
     quadratic = pieces > 1 and not triangles
-    if quadratic or _distorted(cells.on_slave) or _distorted(cells.on_master):
-        return _degree_eight()
-    # Strang and Fix, degree 4
-    inner, outer = 0.445948490915964886, 0.0915762135097707435
-    inner_weight, outer_weight = 0.223381589678011466, 0.109951743655321868
-    return _symmetric((inner, outer)), np.repeat([inner_weight, outer_weight], 3)
+    if cells.corners.shape[2] == 1:
+        points, weights = quadrature("interval", 3 if pieces == 1 else 5)
+    elif unweighted and triangles and pieces == 1:
+        points, weights = quadrature("triangle", 2)
+    elif quadratic or _distorted(cells.on_slave) or _distorted(cells.on_master):
+        # shape functions that are rational
+        points, weights = quadrature("triangle", 8)
+    else:
+        points, weights = quadrature("triangle", 4)
+    return np.column_stack([1.0 - points.sum(axis=1), points]), weights / weights.sum()
 
 
 def _distorted(corners: Vector) -> bool:
@@ -220,35 +212,6 @@ def _distorted(corners: Vector) -> bool:
     skew = corners[:, 0] - corners[:, 1] + corners[:, 2] - corners[:, 3]
     size = np.abs(corners).max(initial=0.0)
     return bool(np.abs(skew).max(initial=0.0) > RELATIVE_ROUNDING * size)
-
-
-def _gauss_on_segment(points: int) -> tuple[Vector, Vector]:
-    """Return 2 or 3 Gauss points, exact for polynomials of degree 3 or 5."""
-    root = np.sqrt(1.0 / 12.0) if points == 2 else np.sqrt(3.0 / 20.0)
-    x = np.array([-root, root]) if points == 2 else np.array([-root, 0.0, root])
-    weights = np.full(2, 0.5) if points == 2 else np.array([5.0, 8.0, 5.0]) / 18.0
-    return np.stack([0.5 - x, 0.5 + x], axis=1), weights
-
-
-def _degree_eight() -> tuple[Vector, Vector]:
-    """Return the 16 points of degree 8 of Dunavant (1985), for rational functions."""
-    places = (0.459292588292723156, 0.170569307751760207, 0.0505472283170309754)
-    weights = (0.0950916342672846247, 0.103217370534718250, 0.0324584976231980803)
-    a, b = 0.00839477740995760533, 0.263112829634638113
-    third = 1.0 - a - b
-    skew = np.array(list(permutations((a, b, third))))
-    points = [np.full((1, 3), 1.0 / 3.0), _symmetric(places), skew]
-    factors = [
-        np.array([0.144315607677787168]),
-        np.repeat(weights, 3),
-        np.full(6, 0.0272303141744349943),
-    ]
-    return np.concatenate(points), np.concatenate(factors)
-
-
-def _symmetric(ends: tuple[float, ...]) -> Vector:
-    """Return for each number a the points (1 - 2a, a, a) and their permutations."""
-    return np.concatenate([np.full((3, 3), a) + (1.0 - 3.0 * a) * np.eye(3) for a in ends])
 
 
 def _sum(values: Vector, index: Numbers, size: int) -> Vector:

@@ -1,10 +1,8 @@
-"""The weight of the surface measure, such as 2 pi r in an axisymmetric form, checked."""
+"""The weight of the surface measure, such as 2 pi r in an axisymmetric form."""
 
 from __future__ import annotations
 
 from typing import Any
-
-from mpi4py import MPI
 
 import numpy as np
 
@@ -16,9 +14,6 @@ from ufl.corealg.traversal import traverse_unique_terminals
 from ufl.domain import extract_domains
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.typing import Vector
 
 
 def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
@@ -51,34 +46,3 @@ def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
         if any(part != mesh_domain for part in extract_domains(terminal)):
             raise InputError("measure_weight is on another mesh than the displacement")
     return weight
-
-
-def check_weighted_areas(
-    comm: MPI.Intracomm, weighted: Vector, area: Vector, points: Vector, label: str
-) -> None:
-    """Check that the weight is positive at all nodes of a surface, on average. Collective.
-
-    The areas (k,) of the nodes are those with and without the weight.
-    """
-    mean = weighted / area
-    finite = np.isfinite(mean)
-    raise_where(
-        comm,
-        ~finite,
-        points,
-        lambda number, place: (
-            f"{label}: measure_weight is NaN or infinite around {number} nodes, the first at "
-            f"{place}"
-        ),
-    )
-    largest = comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
-    raise_where(
-        comm,
-        mean <= RELATIVE_ROUNDING * largest,
-        points,
-        lambda number, place: (
-            f"{label}: measure_weight is negative or zero around {number} nodes, the first at "
-            f"{place}: as the factor of ds it has to be positive there. Has the mesh nodes of "
-            "negative radius, or is a surface on the axis tagged?"
-        ),
-    )

@@ -68,8 +68,8 @@ def _distances(
     x = points[queried]
     boxes = gather_boxes(comm, tree, gdim)
     # the surface is not farther than the farthest point of any box
-    bound = np.min([_farthest(x, low, high) for low, high in boxes], axis=0)
-    queries = [np.flatnonzero(_nearest(x, low, high) <= bound) for low, high in boxes]
+    nearest, farthest = zip(*(_range(x, low, high) for low, high in boxes), strict=True)
+    queries = [np.flatnonzero(part <= np.min(farthest, axis=0)) for part in nearest]
     received = all_to_all(comm, [x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in received]
     if tree is not None:
@@ -125,19 +125,12 @@ def _no_boxes(gdim: int) -> Boxes:
     return np.zeros((0, gdim)), np.zeros((0, gdim))
 
 
-def _nearest(x: Vector, low: Vector, high: Vector) -> Vector:
-    """Return the distance of points from the nearest point of the nearest box."""
-    distance = np.full(len(x), np.inf)
+def _range(x: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:
+    """Return bounds of the distance (n,) of points from what is in all boxes."""
+    nearest, farthest = np.full((2, len(x)), np.inf)
     for bottom, top in zip(low, high, strict=True):
-        offset = np.maximum(np.maximum(bottom - x, x - top), 0.0)
-        distance = np.minimum(distance, np.linalg.norm(offset, axis=1))
-    return distance
-
-
-def _farthest(x: Vector, low: Vector, high: Vector) -> Vector:
-    """Return the distance of points from the farthest point of the box where it is smallest."""
-    distance = np.full(len(x), np.inf)
-    for bottom, top in zip(low, high, strict=True):
-        offset = np.maximum(np.abs(x - bottom), np.abs(x - top))
-        distance = np.minimum(distance, np.linalg.norm(offset, axis=1))
-    return distance
+        outside = np.maximum(np.maximum(bottom - x, x - top), 0.0)
+        nearest = np.minimum(nearest, np.linalg.norm(outside, axis=1))
+        across = np.maximum(np.abs(x - bottom), np.abs(x - top))
+        farthest = np.minimum(farthest, np.linalg.norm(across, axis=1))
+    return nearest, farthest

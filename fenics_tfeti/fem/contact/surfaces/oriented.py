@@ -12,7 +12,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import corner_functions, reference_nodes
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
@@ -78,7 +78,10 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
         return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
     if t == 4 and weight is None:
         return _of_quadrilaterals(x)
-    xi, factors = _quadrature(t, dim)
+    cell = "interval" if dim == 1 else "triangle" if t in (3, 6) else "quadrilateral"
+    xi, factors = quadrature(cell, 4 if cell == "triangle" else 5)
+    if cell == "quadrilateral":
+        xi, factors = 2.0 * xi - 1.0, 4.0 * factors
     functions = corner_functions(xi, t)
     tangents = [np.einsum("qt,mtd->mqd", part, x) for part in _derivatives(xi, t)]
     if dim == 1:
@@ -100,18 +103,6 @@ def _of_quadrilaterals(x: Vector) -> Vector:
     mass = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36.0
     weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(u, w))
     return weighted
-
-
-def _quadrature(t: int, dim: int) -> tuple[Vector, Vector]:
-    """Return points (q, dim) and weights, exact for degree 5 along each axis, 4 on triangles."""
-    root = np.sqrt(0.15)
-    x, w = np.array([0.5 - root, 0.5, 0.5 + root]), np.array([5.0, 8.0, 5.0]) / 18.0
-    if dim == 1:
-        return x[:, None], w
-    (r, s), weights = (part.ravel() for part in np.meshgrid(x, x)), np.outer(w, w).ravel()
-    if t in (3, 6):
-        return np.column_stack([r, s * (1.0 - r)]), weights * (1.0 - r)
-    return 2.0 * np.column_stack([r, s]) - 1.0, 4.0 * weights
 
 
 def _derivatives(xi: Vector, t: int) -> Vector:

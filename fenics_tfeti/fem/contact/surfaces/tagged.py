@@ -16,7 +16,7 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight, check_weighted_areas
+from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
     oriented_facets,
@@ -173,8 +173,27 @@ class Surface:
 
     def check_weight(self, weighted: Vector, rows: Numbers | slice, name: str) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
-        label = f"slave of {name}"
-        check_weighted_areas(self.comm, weighted, self.area[rows], self.points[rows], label)
+        mean, points = weighted / self.area[rows], self.points[rows]
+        raise_where(
+            self.comm,
+            ~np.isfinite(mean),
+            points,
+            lambda number, place: (
+                f"slave of {name}: measure_weight is NaN or infinite around {number} nodes, the "
+                f"first at {place}"
+            ),
+        )
+        largest = self.comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
+        raise_where(
+            self.comm,
+            mean <= RELATIVE_ROUNDING * largest,
+            points,
+            lambda number, place: (
+                f"slave of {name}: measure_weight is negative or zero around {number} nodes, the "
+                f"first at {place}: as the factor of ds it has to be positive there. Has the mesh "
+                "nodes of negative radius, or is a surface on the axis tagged?"
+            ),
+        )
 
     def areas(self, covered: Mask, name: str) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.

@@ -12,10 +12,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.description import TiedPair, check_surfaces, label_of
+from fenics_tfeti.fem.contact.description import TiedPair, check_two_surfaces, label_of
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.fem.user_data import VectorField, as_coordinates, as_direction, is_number
+from fenics_tfeti.fem.user_data import (
+    VectorField,
+    as_array,
+    as_coordinates,
+    as_direction,
+    is_number,
+)
 from fenics_tfeti.typing import Numbers, Vector
+
+# where two surfaces have the same tag
+_REMEDY = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ class PeriodicPair:
     def __post_init__(self) -> None:
         """Check the data."""
         label = label_of(self)
-        _check_two_surfaces(self, label)
+        check_two_surfaces(self, label, _REMEDY)
         if self.translation is None and self.rotation is None:
             raise InputError(
                 f"{label}: neither a translation nor a rotation from the master to the slave is "
@@ -120,7 +129,7 @@ class BoltPreload:
     def __post_init__(self) -> None:
         """Check the data."""
         label = label_of(self)
-        _check_two_surfaces(self, label)
+        check_two_surfaces(self, label, _REMEDY)
         if (self.force is None) == (self.shortening is None):
             raise InputError(f"{label}: give the force or the shortening, one of the two")
         for what in ("force", "shortening"):
@@ -220,15 +229,6 @@ def tie_name(tie: Tie, number: int) -> str:
     return tie.name or f"{kind} {number}"
 
 
-def _check_two_surfaces(pair: PeriodicPair | BoltPreload, label: str) -> None:
-    check_surfaces(pair.facet_tags, {"slave": pair.slave, "master": pair.master}, label)
-    if pair.slave == pair.master:
-        raise InputError(
-            f"{label}: slave and master have the same tag {pair.slave}; each surface needs one of "
-            "its own. fenics_tfeti.io.split_interfaces makes two of one inside a body"
-        )
-
-
 def _check_rotation(rotation: ArrayLike, label: str) -> None:
     Q = _as_numbers(rotation, f"{label}: the rotation")
     if Q.shape not in ((2, 2), (3, 3)):
@@ -238,10 +238,7 @@ def _check_rotation(rotation: ArrayLike, label: str) -> None:
 
 
 def _as_numbers(values: Any, what: str) -> Vector:
-    try:
-        numbers = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"{what}: an array of numbers is expected") from None
+    numbers = as_array(values, what)
     if not np.isfinite(numbers).all():
         raise InputError(f"{what}: a number is NaN or infinite")
     return numbers

@@ -123,7 +123,8 @@ def slave_facets(cell, **shape):
 @pytest.mark.parametrize("cell", CELLS)
 def test_means_of_linear_functions_are_their_values_at_the_vertices(cell):
     surface, facets = slave_facets(cell)
-    nodes, terms = one_sided_conditions(surface, facets, np.ones(len(facets.facets), dtype=bool))
+    terms = one_sided_conditions(surface, facets, np.ones(len(facets.facets), dtype=bool))
+    nodes = terms.slave
     np.testing.assert_array_equal(nodes, np.sort(surface.nodes))
     values = 0.3 + facets.points @ np.arange(1.0, 1.0 + surface.points.shape[1])
     mean = terms.means(values[np.searchsorted(facets.nodes, terms.nodes), None])[:, 0]
@@ -136,8 +137,8 @@ def test_means_of_linear_functions_are_their_values_at_the_vertices(cell):
 def test_facets_that_are_not_chosen_do_not_count():
     surface, facets = slave_facets("triangle")
     middle = facets.points[facets.facets.corners].mean(axis=1)
-    nodes, terms = one_sided_conditions(surface, facets, middle[:, 0] < 0.6)
-    x = facets.points[np.searchsorted(facets.nodes, nodes), 0]
+    terms = one_sided_conditions(surface, facets, middle[:, 0] < 0.6)
+    x = facets.points[np.searchsorted(facets.nodes, terms.slave), 0]
     assert sorted(np.round(x, 9)) == pytest.approx([0.0, 1 / 3, 2 / 3])
     assert terms.scale.sum() == pytest.approx(2 / 3)
 
