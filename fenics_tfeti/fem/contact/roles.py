@@ -53,6 +53,8 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
     """Return E / h of the slave over that of the master; None for node pairs. Collective.
 
+    It is zero for a rigid master, which has no stiffness.
+
     The `nodal_stiffness` says how stiff the bodies are.
     """
     if not pairing.is_mortar or pairing.master_surface is None:
@@ -61,7 +63,7 @@ def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
         _modulus_over_size(surface, stiffness)
         for surface in (pairing.surface, pairing.master_surface)
     )
-    return slave / master
+    return slave / master if master > 0.0 else 0.0
 
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:

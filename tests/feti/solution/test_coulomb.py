@@ -11,6 +11,8 @@ from friction_problems import pushed_block
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.solution.coulomb import _failure
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("ratio", [0.1, 0.5, 0.89])
 def test_steps_that_contract_go_on(ratio):
