@@ -147,7 +147,8 @@ class FoundTie:
 
     number: int  # among all contacts and tied pairs
     tie: Tie
-    pairing: TiedPairing
+    pairing: TiedPairing  # of the undeformed or of the deformed surfaces
+    undeformed: TiedPairing
     rigid_master: RigidBody | None = None  # as of a contact
 
 
@@ -308,7 +309,9 @@ class ContactSet:
             contacts.append(
                 after if k is None else self._on_body(after, bodies, k, uh, new.distance)
             )
-        return replace(self, contacts=contacts, bodies=bodies), measured
+        nodes = self.boundary.nodes
+        ties = [replace(tie, pairing=tie.undeformed.turned(nodes, uh)) for tie in self.ties]
+        return replace(self, contacts=contacts, ties=ties, bodies=bodies), measured
 
     def _on_body(
         self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
@@ -603,7 +606,8 @@ class ContactSearch:
         self, number: int, tie: Tie, last: ContactSet, prescribed: Prescribed
     ) -> FoundTie:
         pairing = self._tied(tie, number, last, prescribed)
-        return FoundTie(number, tie, pairing, self.rigid.master_of(pairing.rows, pairing.name))
+        master = self.rigid.master_of(pairing.rows, pairing.name)
+        return FoundTie(number, tie, pairing, pairing, master)
 
     def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""

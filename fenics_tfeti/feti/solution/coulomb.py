@@ -29,7 +29,7 @@ from fenics_tfeti.feti.tolerances import CERTIFIED, ZERO
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
-# tolerance of the first solution, and of later ones relative to the last change of the bounds
+# largest tolerance of a solution, the first one's; that of others relative to the last change
 _FIRST_RTOL, _INEXACT = 1e-2, 0.05
 # the fixed point does not contract if so many steps reduce its changes by less than the ratio each
 _STEPS, _RATIO = 15, 0.9
@@ -157,7 +157,7 @@ class _FixedPoint:
             reason = "no slip bounds near those of the last step can hold the load"
             return SolveStatus.STALLED, reason
         self.iterate = self._moved(step.outcome)
-        self.rtol = max(self.context.options.rtol, min(self.rtol, _INEXACT * step.change))
+        self.rtol = max(self.context.options.rtol, min(_FIRST_RTOL, _INEXACT * step.change))
         return None
 
     def _aitken_length(self, residual: Vector) -> float:

@@ -15,7 +15,7 @@ from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, Group
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import ContactData
-from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED
+from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED, rounding
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -90,11 +90,34 @@ class PrimalProblem:
     def slips(self, recovered: Recovered) -> Vector:
         """Return s = B_T u - c_T at the sites of friction, (k, gdim - 1), scaled as the rows.
 
-        It is zero where the rows were closed.
+        It is zero where the rows were closed, and where it is no more than the rounding of its
+        terms: times the bound, whose energy is of first order, even that would show in the error.
+        Collective.
         """
         slips = self.setup.constraints.friction.at_sites(recovered.jumps)
-        slips[recovered.sticking] = 0.0
+        negligible = recovered.sticking | self._slips_are_rounding(recovered.displacement, slips)
+        slips[negligible] = 0.0
         return slips
+
+    def _slips_are_rounding(self, displacement: Vector, slips: Vector) -> Mask:
+        """Tell where slips (k, gdim - 1) are rounding. Collective.
+
+        The sum of n terms and a shift is accurate to (n + 1) eps / 2 of their magnitudes, and so is
+        the shift that another displacement has made.
+        """
+        constraints = self.setup.constraints
+        if not constraints.has_friction:
+            return np.zeros(len(slips), dtype=bool)
+        friction = constraints.friction
+        B = constraints.matrix[friction.flat]
+        magnitudes, terms = np.zeros((2, constraints.size))
+        magnitudes[friction.flat] = abs(B) @ np.abs(displacement)
+        terms[friction.flat] = np.diff(B.indptr)
+        magnitudes, terms = map(constraints.layout.sum, (magnitudes, terms))
+        magnitudes += np.abs(self.data.c) + np.abs(self.data.removed)
+        size = friction.at_sites(magnitudes * (terms + 1.0))
+        mask: Mask = (np.abs(slips) <= rounding(size)).all(axis=1)
+        return mask
 
     @property
     def _comm(self) -> MPI.Intracomm:

@@ -200,7 +200,8 @@ def close_constraints(
     B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential rows that share a
     node. Where friction is at its bound the part of the slip is removed that is not along the
     force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of rows that
-    share a node only slip against it. A weight of 1 stands for the stiffness `unit` [N/m].
+    share a node all of the slip, on the same condition. A weight of 1 stands for the stiffness
+    `unit` [N/m].
     """
     constraints, rows = F.constraints, F.constraints.inequality
     jump = F.jumps(torn) - c
@@ -208,12 +209,12 @@ def close_constraints(
     closed[rows] |= jump[rows] > 0.0
     correction = np.where(closed, jump, 0.0)
     friction = constraints.friction
-    slip, backwards = _wrong_slips(constraints, jump, multipliers, unit)
+    slip, costly = _wrong_slips(constraints, jump, multipliers, unit)
     slip[friction.within(face)] = 0.0
     wrong = friction.present & slip.any(axis=1)[:, None]
     correction[friction.rows[wrong]] = slip[wrong]
-    # slip against the force is taken back; of a coupled row that costs all of its slip
-    closed |= friction.on_rows(slip.any(axis=1) & backwards, closed.size)
+    # of a coupled row only all of its slip can be taken back
+    closed |= friction.on_rows(slip.any(axis=1) & ~costly, closed.size)
     _close_coupled_rows(constraints, jump, correction, closed)
     u: Vector = torn - F.constraint_forces(correction) / constraints.weights
     return u, closed
@@ -222,7 +223,7 @@ def close_constraints(
 def _wrong_slips(
     constraints: Constraints, jump: Vector, multipliers: Vector, unit: float
 ) -> tuple[Vector, Mask]:
-    """Return the parts of slips not along the forces, and which slips are against the forces.
+    """Return the parts of slips not along the forces, and where all of the slip costs too much.
 
     Parts whose removal takes more energy than friction loses by them are left out.
     """
@@ -230,10 +231,11 @@ def _wrong_slips(
     slip, force = friction.at_sites(jump), friction.at_sites(multipliers)
     along, radius = balls.directions(force), np.linalg.norm(force, axis=1)
     unused = 2.0 * radius * balls.misalignment(slip, along)
+    costly = unit * np.sum(slip**2, axis=1) >= unused
     forwards = np.sum(slip * along, axis=1)
     slip -= np.maximum(forwards, 0.0)[:, None] * along
     slip[unit * np.sum(slip**2, axis=1) >= unused] = 0.0
-    return slip, forwards < 0.0
+    return slip, costly
 
 
 def _close_coupled_rows(

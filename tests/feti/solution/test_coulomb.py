@@ -10,6 +10,7 @@ from friction_problems import pushed_block
 
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.solution.coulomb import _failure
+from fenics_tfeti.feti.system import TornSystem
 
 pytestmark = pytest.mark.once
 
@@ -36,12 +37,24 @@ def test_contraction_after_a_solution_that_was_the_last_one():
     assert _failure([1e-2, 1e-16, *(0.1 * 0.5**k for k in range(15))]) == ""
 
 
+def with_coulomb(load) -> TornSystem:
+    """Return two blocks with Coulomb's law."""
+    system = pushed_block(2, load)
+    ratio = np.full(system.friction.bound.size, 0.3)
+    return replace(system, friction=replace(system.friction, bound=0.0 * ratio, coefficient=ratio))
+
+
 def test_tolerances_of_steps_follow_the_changes():
     """The last step has the tolerance asked for, and none a finer one."""
-    system = pushed_block(2)
-    ratio = np.full(system.friction.bound.size, 0.3)
-    friction = replace(system.friction, bound=0.0 * ratio, coefficient=ratio)
-    report = TornSolver(replace(system, friction=friction), Options(rtol=1e-4)).solve().report
+    solver = TornSolver(with_coulomb((0.15, 0.05, -1.0)), Options(rtol=1e-4))
+    report = solver.solve().report
     assert report.converged and report.certificate.worst <= 1e-4
     rtols = [step.rtol for step in report.slip_bounds]
     assert rtols == sorted(rtols, reverse=True) and rtols[-1] == 1e-4
+    # from a start the first step has that tolerance; the next one that of the change it found
+    further = with_coulomb((0.25, 0.05, -1.0))
+    solver = TornSolver(further, Options(rtol=1e-4), previous=solver)
+    first, second, *_ = solver.solve().report.slip_bounds
+    assert first.rtol == 1e-4
+    assert second.rtol == pytest.approx(min(1e-2, 0.05 * first.change))
+    assert second.rtol > 2e-4
