@@ -9,8 +9,9 @@ one of them ends. There is no friction, so the work of the clamp is the energy t
 $$\int N \, \mathrm{d} s = \int W \, \mathrm{d} x.$$
 
 While deflections are small the two are like one beam that is clamped at both ends, without a moment
-in its middle: with the way s after the gap is closed, the bending stiffness D and half the distance
-a of the clamps, N = 3 D s / (2 a^3). Later the force falls, since the beams slide off each other.
+in its middle: with the travel s after the gap is closed, the bending stiffness D and half the
+distance a of the clamps, N = 3 D s / (2 a^3). Later the force falls, since the beams slide off each
+other.
 
 This demo illustrates how to
 
@@ -132,7 +133,7 @@ draw_profile(
         "beam theory, small deflections": (np.array(way) / mm, linear, "--"),
         "finite strains": (np.array(way) / mm, force, "o-"),
     },
-    xlabel="way of the clamp [mm]",
+    xlabel="travel of the clamp [mm]",
     ylabel="force [N/m]",
     title="A beam is lowered on another one",
 )

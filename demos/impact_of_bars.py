@@ -116,7 +116,7 @@ draw_profile(
         "no mass at the contact": (1e6 * times, 1e-6 * pressure, "o"),
         "waves": (1e6 * times, 1e-6 * exact, "-"),
     },
-    xlabel="time [us]",
+    xlabel="time [µs]",
     ylabel="contact pressure [MPa]",
     title="Impact of two equal bars",
 )
@@ -126,7 +126,7 @@ draw_profile(
         "mass at the contact": (1e6 * times, growing / kinetic, "-"),
         "no mass at the contact": (1e6 * times, energy / kinetic, "-"),
     },
-    xlabel="time [us]",
+    xlabel="time [µs]",
     ylabel="energy / energy before",
     title="Energy of the bars",
 )

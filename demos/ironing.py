@@ -141,7 +141,7 @@ draw_profile(
         "drag": (np.array(way[dragging]) / mm, 1e-3 * H, "o-"),
         "0.3 × pressing force": (np.array(way[dragging]) / mm, 0.3e-3 * N, "--"),
     },
-    xlabel="way of the die [mm]",
+    xlabel="travel of the die [mm]",
     ylabel="force [kN/m]",
     title="Drag of the die",
 )

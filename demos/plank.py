@@ -144,7 +144,7 @@ figure, axes = pyplot.subplots(figsize=(8, 3), layout="constrained")
 axes.plot(x, 1e3 * deflection, label="plane stress")
 axes.plot(x, 1e3 * beam, "k--", label="beam theory")
 axes.plot(x, 0 * x, "k", linewidth=3)
-axes.set(xlabel="x [m]", ylabel="lower face [mm]")
+axes.set(xlabel="x [m]", ylabel="height of the lower face [mm]")
 axes.legend()
 figure.savefig(results / "plank.png", dpi=120)
 

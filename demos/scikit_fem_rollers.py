@@ -151,7 +151,9 @@ print(f"largest pressure {1e-6 * p_fit:.1f} MPa, by Hertz {1e-6 * p_0:.1f} MPa")
 print(f"{report.subdomains} subdomains, {report.products['total']} products with F")
 
 figure, axes = pyplot.subplots(figsize=(6, 3), layout="constrained")
-axes.plot(1e3 * x, 1e-6 * pressure, "o", markersize=3, label="scikit-fem and Total FETI")
+axes.plot(
+    1e3 * x, 1e-6 * pressure, "o", markersize=3, clip_on=False, label="scikit-fem and Total FETI"
+)
 r = a * np.sin(np.linspace(0, np.pi / 2, 100))
 axes.plot(1e3 * r, 1e-6 * p_0 * np.sqrt(1 - (r / a) ** 2), "k", linewidth=1, label="Hertz")
 axes.set(xlabel="x [mm]", ylabel="pressure [MPa]", xlim=(0, 1.5e3 * a), ylim=(0, None))

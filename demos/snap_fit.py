@@ -136,12 +136,12 @@ if comm.rank == 0:
     print(f"push at most {H.max():.0f} N/m, pull of the click {-H.min():.0f} N/m")
     print(f"work {work:.4f} J/m, friction {friction:.4f} J/m")
 
-# ## The force over the way
+# ## The force over the travel
 
 draw_profile(
     results / "snap_fit_force.png",
     {"hand": (np.array(way) / mm, H, "o-")},
-    xlabel="way of the clip [mm]",
+    xlabel="travel of the clip [mm]",
     ylabel="force [N/m]",
     title="A clip is pushed over a bump, and clicks in",
 )

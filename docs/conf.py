@@ -9,7 +9,9 @@ from pathlib import Path
 here = Path(__file__).parent
 sys.path.insert(0, str(here))
 
+import inventories
 import literate
+from numpydoc.xref import DEFAULT_LINKS
 
 literate.make_pages()
 
@@ -20,6 +22,7 @@ version = release
 extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
+    "sphinx.ext.intersphinx",
     "sphinx.ext.mathjax",
     "numpydoc",
     "myst_parser",
@@ -39,6 +42,12 @@ html_static_path = ["static"]
 html_css_files = ["site.css"]
 autodoc_typehints = "none"
 numpydoc_show_class_members = False
+# types in lists of parameters are links where they are classes of dolfinx or ufl; the types of
+# Python and NumPy, which numpydoc would link, stay as they are
+numpydoc_xref_param_type = True
+numpydoc_xref_ignore = "all"
+numpydoc_xref_aliases = {name: name for name in DEFAULT_LINKS} | inventories.types()
+intersphinx_mapping = inventories.write(here / "_generated")
 myst_enable_extensions = ["dollarmath", "deflist"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "_generated"]

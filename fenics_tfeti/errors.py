@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from math import floor, isfinite, log10
+from pathlib import Path
 from typing import Any
 
 _DIGITS = 6
+_PACKAGE = str(Path(__file__).parent)
 
 # what comes with FEniCSx, in the order in which it is imported
 _FENICSX = ("mpi4py", "petsc4py", "numpy", "scipy", "basix", "ffcx", "ufl", "dolfinx")
@@ -83,6 +86,14 @@ class Interrupted(KeyboardInterrupt):
         super().__init__(message)
         self.solution = solution
         self.report = report
+
+
+def warn_user(message: str) -> None:
+    """Warn with the place of the user's line that has called the package."""
+    level = 1
+    while sys._getframe(level).f_code.co_filename.startswith(_PACKAGE):
+        level += 1
+    warnings.warn(message, stacklevel=level + 1)
 
 
 def format_point(point: Iterable[float], size: float = 0.0) -> str:

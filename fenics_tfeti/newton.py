@@ -137,6 +137,9 @@ class LoadStep:
         size = self.torn.nodes.owned * self.torn.nodes.components
         fill_owned(self.u, displacement[:size])
         bodies = bodies.moved(bodies.from_vector(displacement[size:]))
+        self.torn.fill(self.u, bodies, is_small=False)
+        displacement = np.concatenate([owned_values(self.u), displacement[size:]])
+        bodies = self.torn.loaded(bodies)
         ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
         if not ratio > 0.0:
             raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")

@@ -15,11 +15,11 @@ from dolfinx.fem import Function
 from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual
+from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.description import Contact, Exact
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties.description import Tie
@@ -70,7 +70,7 @@ class NonlinearContactProblem(SteppedProblem):
         What may touch, and what stays together, as for `ContactProblem`.
     J : ufl.Form, optional
         Symmetric tangent, by default the derivative of `F` with respect to `u`.
-    cell_tags, subdomains, measure_weight, form_compiler_options, jit_options
+    cell_tags, subdomains, measure_weight, rigid, form_compiler_options, jit_options
         As for `ContactProblem`.
     options : mapping, optional
         Names and values, see `fenics_tfeti.options.NewtonOptions`.
@@ -115,6 +115,7 @@ class NonlinearContactProblem(SteppedProblem):
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
         measure_weight: Any = None,
+        rigid: Mapping[int, RigidBody] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -129,7 +130,14 @@ class NonlinearContactProblem(SteppedProblem):
         self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
         data = ProblemData(
-            self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler, u
+            self.bcs,
+            self.contacts,
+            cell_tags,
+            subdomains,
+            measure_weight,
+            compiler,
+            u,
+            as_rigid(rigid),
         )
         self._torn = TornProblem(
             self.space,

@@ -19,12 +19,14 @@ from fenics_tfeti.fem.arguments import (
     as_displacement,
     as_forms,
     as_geometry,
+    as_rigid,
 )
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.description import Contact, Exact
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties.description import Tie
@@ -96,6 +98,9 @@ class ContactProblem(SteppedProblem):
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet. Its values may change between solves.
+    rigid : mapping of int to RigidBody, optional
+        Rigid bodies by the tags of their cells in `cell_tags`. Their stiffness is not assembled,
+        and their surfaces are masters of contact pairs and ties; `L` acts on them.
     form_compiler_options, jit_options : mapping, optional
         Options of FFCx and of the just-in-time compiler for `a` and `L`, see `dolfinx.jit`.
 
@@ -109,7 +114,7 @@ class ContactProblem(SteppedProblem):
         `TiedResult`. Empty before the first solve.
     rigid_bodies : Results
         For each rigid body, by number or name, a `RigidBodyResult`: its motion and the forces on
-        it. Bodies are numbered in the order of the obstacles.
+        it. Bodies are numbered in the order of `rigid`, then of the obstacles.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -142,6 +147,7 @@ class ContactProblem(SteppedProblem):
         options_prefix: str = "tfeti_",
         geometry: Exact | None = None,
         measure_weight: Any = None,
+        rigid: Mapping[int, RigidBody] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -159,7 +165,15 @@ class ContactProblem(SteppedProblem):
         self.u = as_displacement(u, self.space)
         self.results = self.rigid_bodies = Results()
         compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
-        data = ProblemData(self.bcs, self.contacts, cell_tags, subdomains, measure_weight, compiler)
+        data = ProblemData(
+            self.bcs,
+            self.contacts,
+            cell_tags,
+            subdomains,
+            measure_weight,
+            compiler,
+            rigid=as_rigid(rigid),
+        )
         size, partitioner = self.options.subdomain_size, self.options.partitioner
         self._torn = TornProblem(self.space, a, L, data, size, partitioner, self._timer)
         with self._timer.phase("assembly"):
@@ -241,8 +255,9 @@ class ContactProblem(SteppedProblem):
                 self._timer.restart()
             self._is_solved = True
             if not self._has_warned:
-                bodies = self.report.certificate.bodies[: len(self._torn.bodies.names)]
-                energy = [body.energy_norm**2 for body in bodies]
+                of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
+                energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
+                energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
@@ -315,8 +330,7 @@ class ContactProblem(SteppedProblem):
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
     ) -> Function:
-        friction = conditions.friction_rows(self._step.origin)
-        system = replace(self.system, contacts=conditions.rows(), friction=friction)
+        system = self._torn.system(self._step.origin, conditions)
         guess = self._guess(coarse, conditions)
         options = self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)
@@ -355,6 +369,8 @@ class ContactProblem(SteppedProblem):
         passes = list(self._step.passes) if known else []
         while True:
             self._step = replace(self._step, passes=passes)
+            # loads on cells of rigid bodies have other moments where these have turned
+            conditions = replace(conditions, bodies=self._torn.loaded(conditions.bodies))
             uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
             with self._timer.phase("deformed surfaces"):
                 assert self._solved is not None
@@ -400,7 +416,9 @@ class ContactProblem(SteppedProblem):
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
-        self._solved = solved = conditions.solved(solution, uh)
+        bodies = conditions.bodies_after(solution)
+        uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
+        self._solved = solved = conditions.solved(solution, uh, bodies)
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self.report = ContactReport.of(
             solution.report,

@@ -14,7 +14,8 @@ def fits(item: pytest.Item) -> bool:
     mark = item.get_closest_marker("ranks")
     if mark is None:
         return RANKS == 1 or "mpi" in item.path.parts
-    return (mark.args[0] if mark.args else 1) <= RANKS
+    least = mark.args[0] if mark.args else 1
+    return least <= RANKS <= mark.kwargs.get("most", RANKS)
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -174,7 +174,7 @@ def test_temperature():
 def test_wear():
     """The worn volume is k F s; in the end the pressure is that of the load."""
     variables = recipe("wear")
-    way = variables["step"] * variables["way"]
+    way = variables["step"] * variables["distance"]
     force = 2 * variables["load"] * variables["width"]
     assert variables["volume"] == pytest.approx(variables["k"] * force * way, rel=1e-8)
     np.testing.assert_allclose(variables["p"], variables["load"], rtol=0.05)

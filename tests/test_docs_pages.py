@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ast
 import sys
+import zlib
 from pathlib import Path
 
+import inventories
 import literate
 import nbformat
 import pytest
@@ -127,3 +129,12 @@ def test_links(tmp_path):
         "sub/b.html: ../a.html#z",
         "sub/b.html: c.png",
     ]
+
+
+def test_inventories_have_the_pages_of_the_sites(tmp_path):
+    """In the form that Sphinx reads: four lines, then a compressed line for each name."""
+    site, file = inventories.write(tmp_path)["dolfinx"]
+    lines = zlib.decompress(Path(file).read_bytes().split(b"\n", 4)[4]).decode().splitlines()
+    assert site.startswith("https://docs.fenicsproject.org/")
+    assert "dolfinx.fem.Function py:class 1 generated/dolfinx.fem.html#$ -" in lines
+    assert "dolfinx.mesh.meshtags py:function 1 generated/dolfinx.mesh.html#$ -" in lines

@@ -17,6 +17,7 @@ from scenes import two_beams
 
 import fenics_tfeti
 from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 
 COMM = MPI.COMM_WORLD
@@ -35,7 +36,7 @@ def factored(monkeypatch):
     return begun
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(most=2)
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake(mistake, factored):
     with pytest.raises(fenics_tfeti.ContactError) as raised:
@@ -58,7 +59,7 @@ def test_messages_are_on_the_page():
     assert PAGE.read_text() == page()
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(most=2)
 def test_problem_without_a_mistake_is_solved(factored):
     """Otherwise the mistakes may fail for another reason, and the fixture count nothing."""
     problem = two_beams(COMM, "quadrilateral", 4).problem()
@@ -67,7 +68,7 @@ def test_problem_without_a_mistake_is_solved(factored):
     assert factored
 
 
-@pytest.mark.ranks
+@pytest.mark.ranks(most=2)
 @pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_raises_with_the_last_iterate(limit):
     problem = two_beams(COMM, "quadrilateral", 6).problem(
@@ -137,3 +138,13 @@ def test_point_in_a_message_has_no_rounding_errors(point, written):
 
 def test_coordinate_that_is_small_against_the_surroundings_is_zero():
     assert format_point((1.4e-17, -3e-18), size=2.0) == "(0, 0)"
+
+
+def test_warnings_have_the_place_of_the_users_line():
+    """And not one inside the package: here of the call of a function that warns."""
+    with pytest.warns(UserWarning, match="interference of the mesh") as caught:
+        warn_of_deviation(
+            dict.fromkeys(("contact", "smallest_gap", "largest_gap"), 0.0)
+            | {"blurred": 1.0, "mean_gap": -0.1, "deviation": 0.2}
+        )
+    assert caught[0].filename == __file__

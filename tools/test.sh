@@ -34,11 +34,11 @@ if "$mpirun" --version | grep -q "Open MPI"; then
 fi
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
-# Those of tests/mpi, and those marked `ranks` in other files, be they marked `once` or not.
+# Those of tests/mpi, and those marked `ranks` in other files.
 mapfile -t files < <(grep -rl --include="test_*.py" "mark\.ranks" tests)
 for ranks in ${MPI_RANKS:-2 3}; do
     echo "== $1: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
         "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
-        tests/mpi "${files[@]}" -m "${marks/ and not once/}"
+        tests/mpi "${files[@]}" -m "$marks"
 done

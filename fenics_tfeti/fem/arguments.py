@@ -5,7 +5,7 @@ They are the same on all ranks, and so are the errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.description import (
     Exact,
     contact_name,
 )
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.ties.description import Tie
 
 
@@ -85,6 +86,25 @@ def as_geometry(geometry: Any) -> Exact | None:
     raise InputError(
         f"geometry is {geometry!r}; Exact() is expected, or None for the undeformed surfaces"
     )
+
+
+def as_rigid(rigid: Any) -> dict[int, RigidBody]:
+    """Return the rigid bodies by the tags of their cells: none for None."""
+    if rigid is None:
+        return {}
+    if not isinstance(rigid, Mapping):
+        raise InputError(
+            f"rigid is a {type(rigid).__name__}; a dict of RigidBody by tags of cells is expected"
+        )
+    for tag, body in rigid.items():
+        if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
+            raise InputError(f"rigid: {tag!r} is no tag of cells; an integer is expected")
+        if not isinstance(body, RigidBody):
+            raise InputError(
+                f"rigid: the body with tag {tag} is a {type(body).__name__}; a RigidBody is "
+                "expected"
+            )
+    return {int(tag): body for tag, body in rigid.items()}
 
 
 def as_contacts(

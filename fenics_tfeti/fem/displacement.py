@@ -5,20 +5,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from mpi4py import MPI
+
 import numpy as np
 from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError, format_point, warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
@@ -100,13 +102,15 @@ def _check_linear_in_trial_function(a: ufl.Form) -> None:
 def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
     """Evaluate Dirichlet conditions at this rank's degrees of freedom. Collective.
 
-    Each has the number of its last condition. Contradictory values are errors.
+    Each has the number of its last condition. Contradictory values are errors; a condition that is
+    empty on all ranks is a warning.
     """
     nodes = NodeMap(space)
     block, size = nodes.components, nodes.components * nodes.size
     prescribed = np.zeros(size, dtype=bool)
     values = np.zeros(size)
     condition = np.zeros(size, dtype=np.int64)
+    counts = np.zeros(len(bcs), dtype=np.int64)
     with raise_collectively(space.mesh.comm):
         for number, bc in enumerate(bcs):
             if not _compat.bc_is_on(bc, space):
@@ -119,6 +123,8 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
             prescribed[dofs] = True
             values[dofs] = new
             condition[dofs] = number
+            counts[number] = len(dofs)
+    _warn_of_empty(space.mesh.comm, counts)
     unrolled = np.flatnonzero(prescribed)
     return Prescribed(
         nodes.to_global(unrolled // block),
@@ -126,6 +132,17 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
         values[unrolled],
         condition[unrolled],
     )
+
+
+def _warn_of_empty(comm: MPI.Intracomm, counts: Numbers) -> None:
+    """Warn of Dirichlet conditions without degrees of freedom, from their numbers on this rank."""
+    empty = np.flatnonzero(comm.allreduce(counts) == 0)
+    with raise_collectively(comm):
+        for number in empty if comm.rank == 0 else ():
+            warn_user(
+                f"Dirichlet condition {number} prescribes nothing, no degree of freedom is in it. "
+                "Is there a facet with its tag, or a node at its place?"
+            )
 
 
 def _check_values(

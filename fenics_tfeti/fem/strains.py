@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 from mpi4py import MPI
@@ -11,6 +10,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.parallel import raise_collectively
@@ -45,12 +45,11 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     worst = int(share.argmax())
     with raise_collectively(comm):
         if comm.rank == 0:
-            warnings.warn(
+            warn_user(
                 f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
                 f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear "
                 "elasticity and the contact conditions are right for |grad u| much smaller than 1 "
                 "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?",
-                stacklevel=3,
             )
     return True
 

@@ -75,6 +75,16 @@ def vertex_nodes(space: FunctionSpace) -> Indices:
     return _compat.cell_dofs(space)[:, : cell_type(space.mesh).vertices]
 
 
+def nodes_in(other: FunctionSpace, space: FunctionSpace) -> NDArray[np.int64]:
+    """Return the local node of another space at each node of a space that is at a vertex.
+
+    Two spaces may number their nodes differently. The entries of nodes at no vertex are 0.
+    """
+    nodes = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
+    nodes[vertex_nodes(space)] = vertex_nodes(other)
+    return nodes
+
+
 def cell_facets(domain: Mesh) -> Indices:
     """Return the facets (cells, facets of a cell) of each cell of this rank, ghosts last."""
     dim = domain.topology.dim

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -14,13 +14,15 @@ import scipy.sparse as sp
 import ufl
 from dolfinx.fem import Function, FunctionSpace
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
 from fenics_tfeti.fem.contact.description import Contact
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties.description import Tie
-from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
@@ -42,6 +44,7 @@ class ProblemData:
     measure_weight: Any = None
     compiler: _compat.CompilerOptions = _compat.CompilerOptions()
     displacement: Function | None = None  # of the surfaces where obstacles are evaluated
+    rigid: Mapping[int, RigidBody] = field(default_factory=dict)  # bodies by tag of their cells
 
     @property
     def touching(self) -> list[Contact]:
@@ -66,10 +69,11 @@ class TornProblem:
     ) -> None:
         self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
         with timer.phase("partition"):
-            self.bodies = find_bodies(space.mesh, data.cell_tags)
+            self.bodies = find_bodies(space.mesh, data.cell_tags, data.rigid)
+            _check_rigid_tags(space, self.bodies, data.rigid)
             check_mesh(space.mesh, self.bodies, data.contacts)
         self._search = ContactSearch(
-            space, self.bodies, data.measure_weight, timer, data.displacement
+            space, self.bodies, data.measure_weight, timer, data.displacement, data.rigid
         )
         found = self._find()
         self.torn = TornMesh(
@@ -120,19 +124,35 @@ class TornProblem:
     def _assemble(self, found: ContactSet, release: Callable[[], None] | None = None) -> None:
         """Assemble the subdomains, after which slave and master may be exchanged."""
         subdomains = self.torn.assemble(release or (lambda: None))
-        self.undeformed = self._search.with_roles(found, self.data.contacts, subdomains)
+        found = self._search.with_roles(found, self.data.contacts, subdomains)
+        self.undeformed = replace(found, bodies=self.loaded(found.bodies))
 
-    def system(self, origin: SlipOrigin) -> TornSystem:
-        """Return the torn system, with slip counted from its origin. Collective."""
-        return self._system(self.undeformed, self.undeformed.friction_rows(origin))
+    def loaded(self, bodies: RigidBodies) -> RigidBodies:
+        """Return rigid bodies with the present loads on their cells. Collective."""
+        if not self.data.rigid:
+            return bodies
+        loads = self._search.rigid.resultants(self.torn.rigid_load(), bodies)
+        return bodies.loaded(loads)
+
+    def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
+        """Fill a displacement at nodes of rigid bodies, of small rotations or any. Collective."""
+        return self._search.rigid.fill(uh, bodies, is_small)
+
+    def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
+        """Return the torn system, with slip counted from its origin. Collective.
+
+        The conditions are by default those of the undeformed surfaces.
+        """
+        conditions = conditions or self.undeformed
+        return self._system(conditions, conditions.friction_rows(origin))
 
     def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
         return TornSystem(
-            [*self.torn.subdomains, *conditions.added_subdomains(len(self.bodies.names))],
+            [*self.torn.subdomains, *conditions.added_subdomains(self.bodies.deformable)],
             conditions.prescribed,
             conditions.rows(),
             self.space.mesh.geometry.dim,
-            [*self.bodies.names, *conditions.added_names],
+            [*self.bodies.names[: self.bodies.deformable], *conditions.added_names],
             conditions.names,
             self.nodes.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
@@ -160,7 +180,7 @@ class TornProblem:
                 x = s.coordinates + values[self.nodes.to_local(s.nodes)]
                 deformed = replace(s, coordinates=x)
                 subdomains[i] = deformed if K is None else with_contact_stiffness(deformed, K)
-        subdomains += rows.conditions.added_subdomains(len(self.bodies.names))
+        subdomains += rows.conditions.added_subdomains(self.bodies.deformable)
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
         return replace(
@@ -189,3 +209,24 @@ class TornProblem:
         """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
         entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble(lambda: None)]
         return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))
+
+
+def _check_rigid_tags(space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody]) -> None:
+    """Check that rigid bodies have cells, and leave some to others; the same on all ranks."""
+    if not rigid:
+        return
+    tags = [] if bodies.tags is None else np.unique(bodies.tags).tolist()
+    for tag, body in rigid.items():
+        if tag not in tags:
+            raise InputError(
+                f"rigid: {tag!r} is no tag of cell_tags, which have {tags}"
+                if tags
+                else "rigid: the bodies are those of the tags of cells; pass cell_tags too"
+            )
+        if body.gdim != space.mesh.geometry.dim:
+            raise InputError(
+                f"rigid: the reference point of the body with tag {tag} has {body.gdim} "
+                f"coordinates, the mesh {space.mesh.geometry.dim}"
+            )
+    if not bodies.deformable:
+        raise InputError("rigid: all bodies are rigid; leave a deformable one at least")

@@ -21,7 +21,7 @@ from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
-from fenics_tfeti.feti.dual.iterate import Iterate
+from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
@@ -49,6 +49,8 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
+
+_AT_A_LIMIT = (SolveStatus.OUT_OF_STEPS, SolveStatus.OUT_OF_PRODUCTS)
 
 
 @dataclass(frozen=True)
@@ -370,9 +372,10 @@ class TornSolver:
         except Interrupted:
             raise Interrupted("interrupted", solution, report) from None
         if not outcome.converged and self.options.error_if_not_converged:
+            limit = "the limit or " if outcome.status in _AT_A_LIMIT else ""
             raise NotConverged(
-                f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. Raise the limit "
-                "or rtol, or set error_if_not_converged to false to get the best iterate",
+                f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. Raise {limit}"
+                "rtol, or set error_if_not_converged to false to get the best iterate",
                 solution,
                 report,
             )

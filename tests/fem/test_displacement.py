@@ -90,6 +90,13 @@ def test_no_conditions_prescribe_nothing():
     assert prescribed_values(beams().V, []).values.size == 0
 
 
+def test_empty_condition_is_told():
+    scene = beams()
+    nothing = fem.dirichletbc(np.zeros(2), np.zeros(0, dtype=np.int32), scene.V)
+    with pytest.warns(UserWarning, match="Dirichlet condition 1 prescribes nothing"):
+        prescribed_values(scene.V, [scene.bcs[0], nothing])
+
+
 def test_equal_values_by_two_conditions_are_no_contradiction():
     scene = beams()
     one = scenes.fixed(scene.V, scene.facet_tags, ROLLER, 0, 0.3)

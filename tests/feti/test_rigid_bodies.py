@@ -8,6 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from pairwise import pairwise
 from sparse_rows import clamped, distributed
 from torn import Glued, cube, fixed_nodes
 
@@ -23,6 +24,8 @@ from fenics_tfeti.feti import (
     save_system,
 )
 from fenics_tfeti.feti.local.rigid_body_modes import raw_modes, rigid_body_modes
+
+pytestmark = pytest.mark.once
 
 COMM = MPI.COMM_WORLD
 RIGID = 10**9
@@ -215,9 +218,10 @@ def solve_dense(system, active):
     return whole, u, forces[: active.sum()]
 
 
-@pytest.mark.parametrize("scaling", ["stiffness", "multiplicity"])
-@pytest.mark.parametrize("method", ["active_set", "smalbe"])
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    ("name", "method", "scaling"),
+    pairwise(SYSTEMS, ["active_set", "smalbe"], ["stiffness", "multiplicity"]),
+)
 def test_against_dense_solution(name, method, scaling):
     system = SYSTEMS[name]()
     options = Options(rtol=1e-11, method=method, scaling=scaling)

@@ -27,12 +27,10 @@ from fenics_tfeti.feti import Options, TornSolver
 
 COMM = MPI.COMM_WORLD
 
-SOFT = [1e-13, 1e-11, 1e-9, 1e-6, 1e-3]
-STIFF = [1e-1, 1.0, 1e3]
 EPS = float(np.finfo(float).eps)
 
 both_methods = pytest.mark.parametrize("method", ["active_set", "smalbe"])
-all_springs = pytest.mark.parametrize("stiffness", SOFT + STIFF)
+all_springs = pytest.mark.parametrize("stiffness", [1e-13, 1e-9, 1e-3, 1e3])
 
 
 def solve_refined(A, b):
@@ -101,9 +99,10 @@ def test_contact_that_opens(stiffness, method):
     assert_solves(system, solution, 1e-6)
 
 
-@both_methods
 @all_springs
-@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+@pytest.mark.parametrize(
+    ("method", "preconditioner"), [("active_set", "dirichlet"), ("smalbe", "lumped")]
+)
 def test_springs_along_one_component(stiffness, method, preconditioner):
     """The floor and the springs carry the load; the cube may slide and spin about the vertical.
 
@@ -131,7 +130,7 @@ def cube_stiffness():
 
 
 @both_methods
-@pytest.mark.parametrize("stiffness", [1e-13, 1e-11, 1e-9, 1e-6, 1e-4, 1e-3, 1e-2, 1e-1])
+@pytest.mark.parametrize("stiffness", [1e-13, 1e-9, 1e-4, 1e-2])
 @pytest.mark.parametrize("problem", [lambda s: glued_column(s, 2), pressed_column, standing_cube])
 def test_products_do_not_grow(problem, stiffness, method):
     """Compared with springs that are as good as rigid.
@@ -145,9 +144,14 @@ def test_products_do_not_grow(problem, stiffness, method):
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("method", ["active_set", "smalbe"])
-@pytest.mark.parametrize("stiffness", [1e-13, 1e-10, 1e-6, 1e-3])
-@pytest.mark.parametrize("problem", [lambda s: glued_column(s, 3), pressed_column])
+@pytest.mark.parametrize(
+    ("problem", "stiffness", "method"),
+    [
+        (lambda s: glued_column(s, 3), 1e-13, "active_set"),
+        (pressed_column, 1e-10, "smalbe"),
+        (pressed_column, 1e-3, "active_set"),
+    ],
+)
 def test_same_as_on_one_rank(problem, stiffness, method):
     """K is the same to the last bit, so that only the tolerance and other sums remain."""
     system = dataclasses.replace(problem(stiffness), comm=MPI.COMM_SELF)

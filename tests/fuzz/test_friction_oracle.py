@@ -78,16 +78,9 @@ def test_random_problem(seed):
 
 
 def test_every_kind_of_friction_is_drawn():
-    drawn = [draw_torn(seed).glued.friction for seed in range(100)]
-    kinds = {
-        (bool(friction.bound.any()), bool(friction.coefficient.any()))
-        for friction in drawn
-        if friction is not None
-    }
+    drawn = [draw_torn(seed).glued for seed in range(100)]
+    drawn = [problem for problem in drawn if problem.friction is not None]
+    kinds = {(p.friction.bound.any(), p.friction.coefficient.any()) for p in drawn}
     assert {(True, False), (False, True), (True, True)} <= kinds
-    verdicts = [
-        verdict_with_friction(problem).verdict
-        for problem in (draw_torn(seed).glued for seed in range(100))
-        if problem.friction is not None
-    ]
+    verdicts = [verdict_with_friction(problem).verdict for problem in drawn[:12]]
     assert {"solution", "unbounded"} <= {v.replace("infeasible and ", "") for v in verdicts}

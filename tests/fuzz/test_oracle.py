@@ -108,7 +108,7 @@ def test_oracle_agrees_with_daqp_on_tied_bodies():
         independent = np.linalg.matrix_rank(rows[:, free], tol=1e-6) == len(rows)
         return problem.tied_jump.size > 0 and independent and in_plain_units(problem)
 
-    for problem, answer in solvable(5, suits):
+    for problem, answer in solvable(3, suits):
         difference = by_daqp(problem) - answer.displacement
         assert np.abs(difference).max() <= 1e-7 * np.abs(answer.displacement).max()
         assert np.abs(answer.tied).max() > 0.0
@@ -149,6 +149,6 @@ def test_errors_that_are_wrong(pressed):
 
 
 def test_every_kind_of_problem_is_drawn():
-    verdicts = [oracle.solve(draw_torn(seed).glued).verdict for seed in range(60)]
+    verdicts = [oracle.solve(draw_torn(seed).glued).verdict for seed in range(30)]
     assert {"solution", "infeasible", "unbounded"} <= set(verdicts)
-    assert verdicts.count("solution") >= 20
+    assert verdicts.count("solution") >= 10

@@ -8,12 +8,20 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import GROUND, LOADED, Scene, at
+from scenes import GROUND, LOADED, MASTER, SLAVE, Scene, at
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, NonlinearContactProblem, Plane, RigidBody, RigidObstacle, Sphere
+from fenics_tfeti import (
+    ContactPair,
+    Coulomb,
+    NonlinearContactProblem,
+    Plane,
+    RigidBody,
+    RigidObstacle,
+    Sphere,
+)
 from fenics_tfeti.models import neo_hookean
 
 COMM = MPI.COMM_WORLD
@@ -121,3 +129,38 @@ def test_restored_problem_goes_on(tmp_path):
     (first,), (second,) = problem.rigid_bodies, again.rigid_bodies
     assert second.translation == pytest.approx(first.translation, rel=1e-5)
     assert len(again.report.newton) <= len(problem.report.newton)
+
+
+@ranks
+def test_cells_of_the_mesh():
+    """A foot that turns on rubber is a much stiffer one: displacements and pressures."""
+    found = []
+    for stiffer, rigid in ((1.0, {2: RigidBody((0.45, 1.4), name="foot")}), (1e5, {})):
+        marks = [
+            (GROUND, at(1, 0.0)),
+            (SLAVE, at(1, 1.0), 1),
+            (MASTER, at(1, 1.0), 2),
+            (LOADED, at(1, 1.4)),
+        ]
+        parts = [((0.0, 0.0), (1.0, 1.0), (3, 3)), ((0.2, 1.0), (0.7, 1.4), (2, 1))]
+        scene = Scene.of_boxes(COMM, "quadrilateral", parts, marks)
+        scene.fix(GROUND)
+        u, up = fem.Function(scene.V), scene.constant((0.005 * E, -0.02 * E))
+        energy = neo_hookean(E, 0.3)(u)
+        work = ufl.inner(up, u) * (1 + ufl.SpatialCoordinate(scene.mesh)[0]) * scene.ds(LOADED)
+        total = energy * scene.dx(1) + stiffer * energy * scene.dx(2) - work
+        problem = NonlinearContactProblem(
+            ufl.derivative(total, u, ufl.TestFunction(scene.V)),
+            u,
+            bcs=scene.bcs,
+            contacts=[ContactPair(scene.facet_tags, SLAVE, MASTER, friction=Coulomb(0.5))],
+            cell_tags=scene.cell_tags,
+            rigid=rigid,
+            options={"newton_rtol": 1e-7},
+        )
+        problem.solve()
+        found.append((u.x.array.copy(), problem.results[0].gather().pressure))
+        if rigid:
+            assert problem.rigid_bodies["foot"].rotation[0] < -0.04
+    for values, stiff in zip(*found, strict=True):
+        assert np.abs(values - stiff).max(initial=0.0) <= 1e-4 * np.abs(stiff).max(initial=0.0)

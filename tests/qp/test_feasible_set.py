@@ -18,7 +18,6 @@ BOUNDS = Bounds.from_vector(np.array([-INF, 0.0, 1.0, -2.0]))
 INTERVALS = Bounds.from_vector(np.array([-INF, -INF, 1.0, 2.0]), np.array([INF, 0.0, 3.0, 2.0]))
 # components 0 and 2 in a disc of radius 5 around (1, 1), 3 and 1 in the unit disc
 DISCS = Discs(np.array([[0, 2], [3, 1]]), np.array([[1.0, 1.0], [0.0, 0.0]]), np.array([5.0, 1.0]))
-accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def test_bounds_from_a_vector_take_the_finite_ones():
@@ -45,7 +44,6 @@ def test_active_bounds_hold_exactly():
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
 @pytest.mark.parametrize("far", [0.0, 1e6])
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6))
 def test_what_is_projected_on_a_circle_is_on_it(scale, far, seed):
     rng = np.random.default_rng(seed)
@@ -103,7 +101,6 @@ def test_longest_step_in_discs(direction, length):
     assert DISCS.longest_step(x, np.array(direction)) == pytest.approx(length, rel=1e-15)
 
 
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), size=st.sampled_from([1e-6, 1.0]))
 def test_longest_step_ends_on_the_circle(seed, size):
     rng, problem = np.random.default_rng(seed), random_discs(seed, size=size)
@@ -156,7 +153,6 @@ def test_split_of_the_gradient_on_discs():
     assert split.conjugation == -4.0
 
 
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6),
     step_length=st.sampled_from([1e-3, 1.0]),
@@ -198,7 +194,6 @@ def test_split_on_discs_counts_owned_components_only():
     assert (split.gradient2, split.boundary2, split.reduced_free) == (25.0, 25.0, 0.0)
 
 
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), discs=st.booleans())
 def test_derivative_of_the_projection_is_that_of_differences(seed, discs):
     rng = np.random.default_rng(seed)
@@ -215,7 +210,6 @@ def test_derivative_of_the_projection_is_that_of_differences(seed, discs):
     np.testing.assert_allclose(found, expected, atol=1e-6)
 
 
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), factor=st.sampled_from([1e-3, 0.5, 7.0]))
 def test_scaled_set_is_that_of_scaled_points(seed, factor):
     x, problem = np.random.default_rng(seed).standard_normal(24), random_discs(seed)

@@ -16,8 +16,6 @@ pytestmark = pytest.mark.once
 
 seeds = st.integers(0, 2**32 - 1)
 decades = st.sampled_from([0, 3, 6])
-many = hypothesis.settings(max_examples=200, deadline=None)
-accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def random_set(rng, half_lines: int = 5, intervals: int = 3, discs: int = 4) -> ProductSet:
@@ -31,7 +29,6 @@ def random_set(rng, half_lines: int = 5, intervals: int = 3, discs: int = 4) -> 
     )
 
 
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6), rows=st.integers(1, 5), scale=st.sampled_from([1e-9, 1.0, 1e9])
 )
@@ -54,7 +51,6 @@ def test_solution_against_a_conic_solver(seed, rows, scale):
     np.testing.assert_allclose(x, oracle.x + shift, atol=1e-9)
 
 
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6))
 def test_residual_certifies_that_there_is_no_solution(seed):
     """residual'd is more than residual'Cx of any x of the set."""
@@ -82,7 +78,7 @@ def test_nothing_to_balance():
     assert residual.tolist() == [1.0]
 
 
-@pytest.mark.parametrize("push", [1e-3, 0.5, 2.0, 1e3])
+@pytest.mark.parametrize("push", [1e-3, 1e3])
 def test_factor_is_the_push_over_what_the_radii_hold(push):
     """Two discs of radii 0.2 and 0.3 along the push, and one that the push does not reach."""
     discs = Discs(np.arange(6).reshape(3, 2), np.zeros((3, 2)), np.array([0.2, 0.3, 9.0]))
@@ -105,7 +101,6 @@ def scales(rng, count: int, decades: int):
     return np.where(rng.random(count) < 0.125, 0.0, factors)
 
 
-@many
 @hypothesis.given(seeds, decades)
 def test_a_solution_that_exists_is_found(seed, decades):
     rng = np.random.default_rng(seed)
@@ -118,7 +113,6 @@ def test_a_solution_that_exists_is_found(seed, decades):
     np.testing.assert_allclose(d - C @ x, residual, atol=1e-12 * np.linalg.norm(d))
 
 
-@many
 @hypothesis.given(seeds, decades)
 def test_what_has_no_solution_is_certified(seed, decades):
     """C'y <= o and d'y > 0 for a y: Farkas' lemma, with the residual as the y that is found."""
@@ -147,7 +141,7 @@ def two_bodies(seed, size):
 
 
 @pytest.mark.parametrize("size", [1e-2, 1e-4, 3e-7])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_small_columns_share_with_nonnegative_ones(seed, size):
     """Compared with NNLS for x alone, p = E^{-1}(d - Cx): 1/2 ||x + g||^2 + 1/2 ||p||^2."""
     C, E, d, g = two_bodies(seed, size)
@@ -181,7 +175,7 @@ def test_what_no_column_resists_is_left():
     np.testing.assert_array_equal(residual, d)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_rows_of_many_lengths(seed):
     """Each row is balanced relative to its own length."""
     rng = np.random.default_rng(seed)

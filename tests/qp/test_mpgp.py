@@ -13,7 +13,6 @@ from fenics_tfeti.qp import Discs, Products, ProductSet, ProportioningOptions, p
 pytestmark = pytest.mark.once
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
-accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def solve(problem: Problem, rtol: float = 1e-11, x=None, products=None, feasible=None, **options):
@@ -53,7 +52,6 @@ def test_nearest_point_of_an_ellipse_to_its_middle(expansion):
 
 
 @both_expansions
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6),
     discs=st.integers(1, 8),
@@ -70,7 +68,6 @@ def test_random_problem_against_a_conic_solver(expansion, seed, discs, condition
 
 
 @both_expansions
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), size=st.sampled_from([1e-3, 1.0]))
 def test_optimality_by_the_projected_step(expansion, seed, size):
     problem = random_discs(seed, size=size)
@@ -82,7 +79,6 @@ def test_optimality_by_the_projected_step(expansion, seed, size):
 
 
 @both_expansions
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6))
 def test_without_discs_the_solution_is_that_of_mprgp(expansion, seed):
     problem = random_intervals(seed, 24)
@@ -107,21 +103,18 @@ def test_strong_curvature(expansion, radius):
 
 def test_every_kind_of_step_is_taken_and_counted():
     """Otherwise the tests of this file say nothing about some of them."""
-    products, calls = Products(), 0
-    for seed in range(5):
-        problem = random_discs(seed, condition=1e4)
-        solve(problem, rtol=1e-6, products=products)
-        calls += problem.calls
+    problem, products = random_discs(1, condition=1e3), Products()
+    solve(problem, rtol=1e-6, products=products)
     assert min(products.cg, products.expansion, products.proportioning) > 0
-    assert products.total == calls
+    assert products.total == problem.calls
 
 
 @both_expansions
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_cost_never_rises_and_iterates_are_feasible(expansion, seed):
     problem, costs = random_discs(seed, condition=1e3), []
     at, centre, radius = problem.discs.indices, problem.discs.centre, problem.discs.radius
-    for limit in range(1, 60):
+    for limit in range(1, 40):
         x = solve(problem, expansion=expansion, max_products=limit).x
         costs.append(problem.cost(x))
         assert np.all(problem.lower <= x)

@@ -13,7 +13,6 @@ from fenics_tfeti.qp import Products, ProductSet, ProportioningOptions, proporti
 pytestmark = pytest.mark.once
 
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
-accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def solve(problem: Problem, rtol: float = 1e-12, x=None, products=None, **options):
@@ -50,7 +49,6 @@ def test_resting_part_of_the_string_is_exactly_on_the_obstacle(expansion):
 
 
 @both_expansions
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6),
     n=st.integers(1, 30),
@@ -66,7 +64,6 @@ def test_random_problem_against_quadprog(expansion, seed, n, bounded, condition)
 
 
 @both_expansions
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6), n=st.integers(2, 30), condition=st.sampled_from([1.0, 1e2, 1e4])
 )
@@ -92,7 +89,6 @@ def test_proportioning_step_ends_at_the_opposite_bound(right):
 
 
 @both_expansions
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), n=st.integers(1, 30))
 def test_kkt_conditions(expansion, seed, n):
     problem = random_problem(seed, n)
@@ -114,20 +110,14 @@ def test_returned_gradient_and_split_belong_to_the_returned_point():
 
 @both_expansions
 @pytest.mark.parametrize("refresh", [1, 50])
-@pytest.mark.parametrize("seed", range(5))
-def test_products_are_the_calls_of_the_operator(expansion, refresh, seed):
-    problem, products = random_problem(seed, 30, condition=1e4), Products()
-    solve(problem, products=products, expansion=expansion, refresh=refresh)
+def test_products_are_the_calls_of_the_operator(expansion, refresh):
+    """Those of several solves add up, and each kind of step is among them."""
+    problem, products = random_problem(2, 30, condition=1e3), Products()
+    for _ in range(2):
+        solve(problem, products=products, expansion=expansion, refresh=refresh)
     assert products.total == products.cg + products.expansion + products.proportioning
     assert products.total == problem.calls
-
-
-@both_expansions
-def test_products_of_several_solves_add_up(expansion):
-    problem, products = random_problem(2), Products()
-    for _ in range(2):
-        solve(problem, products=products, expansion=expansion)
-    assert products.total == problem.calls
+    assert min(products.cg, products.expansion, products.proportioning) > 0
 
 
 def test_known_gradient_saves_the_first_product():
@@ -138,31 +128,14 @@ def test_known_gradient_saves_the_first_product():
     np.testing.assert_allclose(result.x, fresh.solution(), atol=1e-10)
 
 
-def test_every_kind_of_step_is_taken_and_counted():
-    """Otherwise the tests of this file say nothing about some of them."""
-    products = Products()
-    for seed in range(5):
-        solve(random_problem(seed, 30, condition=1e4), products=products)
-    assert min(products.cg, products.expansion, products.proportioning) > 0
-
-
 @both_expansions
-@pytest.mark.parametrize("seed", range(5))
-def test_cost_never_rises(expansion, seed):
+@pytest.mark.parametrize("seed", range(2))
+def test_cost_never_rises_and_iterates_are_feasible(expansion, seed):
     problem = random_problem(seed, 30, condition=1e3)
-    costs = [
-        problem.cost(solve(problem, expansion=expansion, max_products=limit).x)
-        for limit in range(1, 60)
-    ]
+    iterates = [solve(problem, expansion=expansion, max_products=limit).x for limit in range(1, 60)]
+    costs = np.array([problem.cost(x) for x in iterates])
     assert np.all(np.diff(costs) <= 1e-14 * np.abs(costs[-1]))
-
-
-@both_expansions
-def test_iterates_are_feasible(expansion):
-    problem = random_problem(0, 30, condition=1e3)
-    for limit in range(1, 60):
-        x = solve(problem, expansion=expansion, max_products=limit).x
-        assert np.all(x >= problem.lower)
+    assert np.all(iterates >= problem.lower)
 
 
 @pytest.mark.parametrize("distinct", [1, 2, 5])
@@ -177,7 +150,7 @@ def test_without_active_bounds_it_is_the_conjugate_gradient_method(distinct):
 
 
 @both_expansions
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(5))
 def test_finite_termination(expansion, seed):
     """The active set is found in finitely many steps; then conjugate gradients need at most n."""
     n = 12
@@ -203,7 +176,7 @@ def test_start_at_the_solution_takes_one_product():
 
 
 @both_expansions
-@pytest.mark.parametrize("scale", [1e-20, 1e-10, 1e10, 1e20])
+@pytest.mark.parametrize("scale", [1e-20, 1e20])
 def test_scaling_the_cost_changes_nothing(expansion, scale):
     problem = random_problem(6, condition=1e3)
     scaled = Problem(scale * problem.A, scale * problem.b, problem.lower)

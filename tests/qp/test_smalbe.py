@@ -26,7 +26,6 @@ pytestmark = pytest.mark.once
 both_expansions = pytest.mark.parametrize("expansion", ["standard", "projected_cg"])
 # below it rows of G are so nearly dependent on the face that multipliers take thousands of steps
 INDEPENDENT = 0.1
-accurate = hypothesis.settings(max_examples=60, deadline=None, derandomize=True)
 
 
 def projected(problem: Problem) -> Problem:
@@ -60,7 +59,6 @@ def solve(problem: Problem, rtol: float = 1e-9, start=None, products=None, monit
 
 @both_expansions
 @pytest.mark.parametrize("project", [False, True])
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6),
     n=st.integers(15, 30),
@@ -80,7 +78,6 @@ def test_random_problem_against_quadprog(
 
 
 @both_expansions
-@accurate
 @hypothesis.given(
     seed=st.integers(0, 10**6),
     equalities=st.integers(1, 5),
@@ -99,7 +96,6 @@ def test_intervals_and_discs_against_a_conic_solver(expansion, seed, equalities,
 
 
 @both_expansions
-@accurate
 @hypothesis.given(seed=st.integers(0, 10**6), n=st.integers(15, 30), equalities=st.integers(1, 5))
 def test_kkt_conditions(expansion, seed, n, equalities):
     problem, rtol = random_problem(seed, n, equalities=equalities), 1e-8
@@ -132,7 +128,7 @@ def test_returned_gradient_belongs_to_the_returned_state():
 
 
 @both_expansions
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_products_are_the_calls_of_the_operator(expansion, seed):
     problem, products = random_problem(seed, 30, equalities=4, condition=1e3), Products()
     solve(problem, products=products, expansion=expansion)
@@ -176,8 +172,7 @@ def test_balance_falls_by_its_factor_or_stays():
     assert set(ratios) == {1.0, 0.25}
 
 
-@pytest.mark.parametrize("M0", [1e-2, 1.0, 1e4])
-@pytest.mark.parametrize("penalty", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize(("M0", "penalty"), [(1e-2, 0.1), (1.0, 10.0), (1e4, 0.1), (1e4, 10.0)])
 def test_parameters_change_the_way_but_not_the_solution(M0, penalty):
     problem = random_problem(3, 20, equalities=3)
     result = solve(problem, rho=penalty * problem.norm, M0=M0, max_it=1000)
@@ -262,9 +257,7 @@ def minimum(dual) -> float:
 
 
 @both_expansions
-@pytest.mark.parametrize(
-    ("rtol", "error"), [(1e-5, 2e-2), (1e-6, 2e-3), (1e-8, 2e-5), (1e-10, 1e-6), (1e-12, 1e-7)]
-)
+@pytest.mark.parametrize(("rtol", "error"), [(1e-5, 2e-2), (1e-8, 2e-5), (1e-12, 1e-7)])
 @pytest.mark.parametrize("project", [False, True])
 def test_membranes(dual, minimum, project, rtol, error, expansion):
     """The cost is 1/400 of its terms, so 1e-5 in the gradient leaves 1 % in the cost."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 from mpi4py import MPI
 
 import numpy as np
@@ -66,9 +68,10 @@ every_scene = pytest.mark.parametrize(
 )
 
 
-def solved(name, comm=MPI.COMM_SELF):
-    """Return the solved problem of a scene, and the displacement."""
-    scene = {**SMALL, **LARGE}[name](comm)
+@cache
+def solved(name, alone=True):
+    """Return the solved problem of a scene, on one rank or all, and the displacement."""
+    scene = {**SMALL, **LARGE}[name](MPI.COMM_SELF if alone else COMM)
     size = 1000 if name in LARGE else 60 if scene.mesh.topology.dim == 2 else 200
     problem = scene.problem(options={**OPTIONS, "subdomain_size": size})
     return scene, problem, problem.solve()
@@ -166,7 +169,7 @@ def assert_near(uh, displacement, factor=1e-6):
     ],
 )
 def test_scene(name):
-    scene, problem, uh = solved(name, COMM)
+    scene, problem, uh = solved(name, alone=COMM.size == 1)
     alone, serial = (scene, problem) if COMM.size == 1 else solved(name)[:2]
     reference = alone.reference()
     assert_displacement(scene, uh, alone, reference)
@@ -217,14 +220,13 @@ def test_uniform_stress_is_exact(name):
     ],
     ids=lambda options: ", ".join(f"{name}={value}" for name, value in options.items()),
 )
-@pytest.mark.parametrize("name", ["beams, quadrilaterals", "materials, triangles"])
-def test_options_change_the_way_but_not_the_solution(name, options):
-    scene = SMALL[name](MPI.COMM_SELF)
+def test_options_change_the_way_but_not_the_solution(options):
+    scene = SMALL["materials, triangles"](MPI.COMM_SELF)
     uh = scene.problem(options={**OPTIONS, **options}).solve()
     assert_near(uh, scene.reference().displacement)
 
 
-@pytest.mark.parametrize("rtol", [1e-2, 1e-4, 1e-6, 1e-8, 1e-10])
+@pytest.mark.parametrize("rtol", [1e-2, 1e-6, 1e-10])
 def test_tolerance_means_what_it_says(rtol):
     """The error follows rtol, with the condition of the problem for a factor."""
     scene = two_beams(MPI.COMM_SELF, "quadrilateral", 6)

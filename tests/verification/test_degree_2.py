@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from curved_rings import quarter_rings
 from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem, uneven_scene
+from pairwise import pairwise
 from scenes import POISSON, Scene, at, dimension, normal_forces
 
 import ufl
@@ -48,9 +49,10 @@ def joined(kind, tags, slave, d):
     return {"contacts": [pair, RigidObstacle(tags, BOTTOM, ground)]}
 
 
-@pytest.mark.parametrize("slave", [LOWER, UPPER], ids=["lower", "upper"])
-@pytest.mark.parametrize("kind", ["contact", "tied", "on obstacle"])
-@pytest.mark.parametrize("cell", CELLS)
+@pytest.mark.parametrize(
+    ("cell", "kind", "slave"),
+    pairwise(CELLS, ["contact", "tied", "on obstacle"], [LOWER, UPPER]),
+)
 def test_blocks_under_their_own_weight(cell, kind, slave):
     """Between smooth walls the displacement is quadratic in the height, pressures are uniform."""
     d = dimension(cell)

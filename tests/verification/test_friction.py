@@ -80,7 +80,7 @@ def assert_work_of_friction(rubbing):
     assert f"{report.unknowns['sticking']} of {found.sticking.size} nodes stick" in str(report)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", ["square on the ground", "cube on the ground", *list(CASES)[3::2]])
 def test_limit_of_what_friction_holds(case):
     """Only just less than the push of sqrt(0.03^2 + 0.009^2) on an area of 1."""
     cell, n, lower = CASES[case]
@@ -205,7 +205,7 @@ def test_thin_plate_that_slips_in_varying_directions():
         np.testing.assert_allclose(cosine, 1.0, atol=1e-6)
 
 
-@pytest.mark.parametrize(("mu", "angle"), [(0.5, 2.2), (1.0, 1.2), (2.0, 0.9)])
+@pytest.mark.parametrize(("mu", "angle"), [(0.5, 2.2), (2.0, 0.9)])
 def test_bounds_that_swing(mu, angle):
     """Slip across stiff fibres changes the pressure by up to 2.6 times the friction that it makes.
 
@@ -222,7 +222,7 @@ def test_bounds_that_swing(mu, angle):
     assert contact.normal_force.sum() > 1e-3
 
 
-@pytest.mark.parametrize(("mu", "angle"), [(0.3, 1.81), (0.5, 1.9), (1.0, 2.19)])
+@pytest.mark.parametrize(("mu", "angle"), [(0.3, 1.81), (1.0, 2.19)])
 def test_bounds_that_grow_until_something_sticks(mu, angle):
     """Slip along the fibres presses them on the ground, by more the more friction holds them."""
     problem = sheared_square(Coulomb(mu), (0.05, -0.01), fibre=angle)
@@ -347,7 +347,7 @@ def test_belt_on_a_drum(mu):
 
 @pytest.mark.parametrize(
     ("cell", "n", "lower"),
-    [("quadrilateral", 1, None), ("quadrilateral", 3, None), ("hexahedron", 1, None)],
+    [("quadrilateral", 3, None), ("hexahedron", 1, None)],
 )
 def test_ground_carries_a_block_that_slips_everywhere(cell, n, lower):
     """Forces in balance, all at the bound, leave its place to slips outwards at both ends."""

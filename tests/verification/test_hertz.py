@@ -181,7 +181,11 @@ TWO = {
     "name",
     [*list(TWO)[:-1], pytest.param(list(TWO)[-1], marks=pytest.mark.heavy)],
 )
-@pytest.mark.parametrize("upper_is_slave", [True, False], ids=["upper slave", "lower slave"])
+@pytest.mark.parametrize(
+    "upper_is_slave",
+    [True, pytest.param(False, marks=pytest.mark.heavy)],
+    ids=["upper slave", "lower slave"],
+)
 def test_two_bodies_of_different_materials(name, upper_is_slave):
     cell, size, radii = TWO[name]
     solved = pressed(cell, size, radii=radii, upper_is_slave=upper_is_slave)

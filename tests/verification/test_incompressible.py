@@ -26,9 +26,12 @@ CASES = {
     "2D": {"gdim": 2, "subdomain_size": 200},
     "2D, degree 2": {"gdim": 2, "subdomain_size": 400, "degree": 2},
 }
+QUICK = [case for case in CASES if case != "3D, SCOTCH"]
+REST = [case for case in CASES if case not in ("3D, friction", "2D, degree 2")]
+heavy = pytest.mark.heavy
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [pytest.param("3D, SCOTCH", marks=heavy), *QUICK])
 def test_at_most_twice_as_many_products(case):
     compressible, other = (report(nu=nu, **CASES[case]) for nu in (0.3, 0.49999))
     assert other.products["total"] <= 2.0 * compressible.products["total"]
@@ -38,7 +41,10 @@ def test_at_most_twice_as_many_products(case):
         assert compressible.preconditioner == "lumped"
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    ["3D, friction", "2D, degree 2", *(pytest.param(case, marks=heavy) for case in REST)],
+)
 def test_certificate_and_force(case):
     """The force is that of another preconditioner, which takes many more products."""
     found = report(nu=0.499, **CASES[case])

@@ -9,6 +9,8 @@ from mpi4py import MPI
 import pytest
 from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, TRACTION, YOUNG, Scene, at, support_beams
 
+pytestmark = pytest.mark.once
+
 
 def report(lower, upper, ratio, exchanged=False):
     """Return the report for numbers of elements over the beams' height and a ratio of moduli."""

@@ -15,6 +15,8 @@ from scenes import POISSON, Scene
 
 from fenics_tfeti.io import read_msh, tag_facets
 
+pytestmark = pytest.mark.once
+
 gmsh = pytest.importorskip("gmsh")
 
 R, DEPTH = 8.0, 0.11

@@ -14,6 +14,8 @@ from dolfinx import fem
 
 from fenics_tfeti import Plane
 
+pytestmark = pytest.mark.once
+
 RADIUS, SPECIFIC_WEIGHT, YOUNG = 0.25, 9810.0, 0.5e9
 CIRCLE = SPECIFIC_WEIGHT * np.pi * RADIUS**2  # [N/m]
 # contact -> its body and the force on it, in units of a disc's weight

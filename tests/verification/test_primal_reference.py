@@ -7,6 +7,8 @@ import pytest
 import scipy.sparse as sp
 from primal_reference import primal_active_set
 
+pytestmark = pytest.mark.once
+
 
 def chain(springs: list[float]) -> sp.csr_matrix:
     """Return the stiffness matrix of springs in series, singular: nothing is fixed."""

@@ -66,3 +66,9 @@ def test_code_aster_blocks():
     """Exact on any two meshes."""
     values = run("code_aster_blocks")
     assert max(values["pressure_error"], values["displacement_error"]) < 1e-8
+
+
+def test_pmd_press_fit():
+    """The hub's radius is smaller than the formula's by the interference."""
+    values = run("pmd_press_fit")
+    assert values["pressure"] == pytest.approx(values["PUBLISHED"], rel=3e-3)

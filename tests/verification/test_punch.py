@@ -19,6 +19,8 @@ import pytest
 from mesh_arrays import of_script
 from scenes import POISSON, Scene
 
+pytestmark = pytest.mark.once
+
 RADIUS, DEPTH, YOUNG = 0.01, 1e-4, 2e9
 REDUCED = YOUNG / (1.0 - POISSON**2)
 

@@ -14,6 +14,8 @@ from dolfinx import fem
 
 from fenics_tfeti import Along, UnresistedMotion
 
+pytestmark = pytest.mark.once
+
 RADIUS, LOAD = 0.1, 4e6  # [m], [N/m]
 HALF_WIDTH = np.sqrt(8 * LOAD * RADIUS * (1 - POISSON**2) / (np.pi * YOUNG))
 PEAK = 2 * LOAD / (np.pi * HALF_WIDTH)

@@ -75,18 +75,26 @@ def fibres_in_one_cell_of_each(arch):
     arch.a += amount * ufl.inner(*stretch) * ufl.dx
 
 
+CLASSES = {
+    isotropic: 1,
+    supported_inside: 1,
+    supported_radially: 1,
+    softer_in_one_cell: 2,
+    fibres_in_one_direction: SECTORS,
+    fibres_in_one_cell_of_each: SECTORS,
+}
+
+
 @pytest.mark.parametrize(
-    ("change", "expected"),
+    ("cell", "change", "expected"),
     [
-        (isotropic, 1),
-        (supported_inside, 1),
-        (supported_radially, 1),
-        (softer_in_one_cell, 2),
-        (fibres_in_one_direction, SECTORS),
-        (fibres_in_one_cell_of_each, SECTORS),
+        *(("triangle", change, expected) for change, expected in CLASSES.items()),
+        *((cell, isotropic, 1) for cell in CELLS[1:]),
+        ("quadrilateral", softer_in_one_cell, 2),
+        ("tetrahedron", supported_radially, 1),
+        ("hexahedron", fibres_in_one_cell_of_each, SECTORS),
     ],
 )
-@pytest.mark.parametrize("cell", CELLS)
 def test_shared_or_not(cell, change, expected):
     scene = arch(cell)
     change(scene)

@@ -15,6 +15,8 @@ from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
 
+pytestmark = pytest.mark.once
+
 PER_METRE = 2  # boxes
 N = 3  # elements along a box
 

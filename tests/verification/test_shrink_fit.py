@@ -13,6 +13,8 @@ from strips import bend, strips
 
 from fenics_tfeti.io import tag_facets
 
+pytestmark = pytest.mark.once
+
 INNER, RADIUS, OUTER = 0.6, 1.0, 1.5
 INTERFERENCE = 1e-3
 

@@ -19,6 +19,8 @@ from dolfinx import fem, mesh
 from fenics_tfeti import Plane, RigidObstacle, Sphere
 from fenics_tfeti.io import tag_facets
 
+pytestmark = pytest.mark.once
+
 # -- a soft body beside a stiff one that moves far -------------------------------------------------
 
 FIXED, SQUEEZED, LOWER, UPPER, HELD, LIFTED = 1, 2, 3, 4, 5, 6

@@ -12,6 +12,8 @@ from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver
 
+pytestmark = pytest.mark.once
+
 
 @pytest.fixture
 def theory(monkeypatch):

@@ -8,12 +8,12 @@ within the cell, too: if it is not integrated by one point.
 
 from __future__ import annotations
 
-import warnings
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -54,10 +54,9 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
         )
     with raise_collectively(domain.comm):
         if domain.comm.rank == 0:
-            warnings.warn(
+            warn_user(
                 f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
                 f"{ratio:.4g}: the result is much too stiff. {remedy}",
-                stacklevel=3,
             )
 
 

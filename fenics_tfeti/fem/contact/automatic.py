@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +11,7 @@ import numpy as np
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, warn_user
 from fenics_tfeti.fem.checks.mesh import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
@@ -103,10 +102,9 @@ def find_contacts(
     surfaces = _surfaces(comm, opposite, facets, whole_faces)
     with raise_collectively(comm):
         if not surfaces and comm.rank == 0:
-            warnings.warn(
+            warn_user(
                 f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
                 "no contact between them. Where there are gaps, pass a larger distance",
-                stacklevel=3,
             )
     contacts = []
     for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
@@ -194,11 +192,10 @@ def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Nu
     with raise_collectively(comm):
         if len(pairs) and comm.rank == 0:
             names = " and ".join(bodies.names[body] for body in pairs[0])
-            warnings.warn(
+            warn_user(
                 f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
                 f"contact, because they are connected through facets: the first {names}. Where "
                 "they may touch, tag their surfaces and add a ContactPair",
-                stacklevel=4,
             )
     apart: Numbers = opposite[~glued]
     return apart

@@ -29,23 +29,19 @@ from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # -- the pairs of one contact ------------------------------------------------------------------
 
 
-def check_shared_nodes(slave: Surface, shared: Mask, allowed: bool, name: str) -> None:
-    """Check that slave and master share no nodes (k,), or that they may stay free."""
+def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
+    """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
     raise_where(
         slave.comm,
-        np.zeros_like(shared) if allowed else shared,
+        np.isin(slave.nodes, master),
         slave.points,
         lambda number, place: (
-            f"{name}: slave and master share {number} nodes, the first at {place}. The surfaces "
-            "overlap or the bodies are one: each body needs nodes of its own. Bodies that share "
-            "nodes, as Gmsh's fragment makes them, get their own by "
-            "fenics_tfeti.io.split_interfaces. (Where two faces of one body meet, such as at the "
-            "tip of a crack, partial=True leaves the shared nodes free)"
+            f"{name}: slave and master share {number} nodes, the first at {place}. {remedy}"
         ),
     )
 

@@ -10,9 +10,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
@@ -34,11 +35,13 @@ from fenics_tfeti.fem.contact.result import (
     Results,
     TiedResult,
 )
+from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
 from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
     exchanged,
     nodal_stiffness,
+    one_sided_data,
     prefers_exchange,
     roles_ratio,
     warn_of_roles,
@@ -90,6 +93,7 @@ class FoundContact:
     undeformed: ContactPairing
     friction: NodalFriction | None = None  # at `pairing`
     on_body: OnBody | None = None  # where the conditions are on a rigid body
+    rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
 
     @property
     def contact(self) -> Contact:
@@ -110,10 +114,11 @@ class FoundContact:
         """The rigid body that the obstacle is a surface of."""
         return self.contact.body if isinstance(self.contact, RigidObstacle) else None
 
-    def placed(self, nodes: NodeMap) -> FoundContact:
+    def placed(self, nodes: NodeMap, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
+        master = rigid.master_of(self.pairing.rows(self.number), self.pairing.name)
         if self.body is None:
-            return self
+            return replace(self, rigid_master=master)
         x = self.pairing.relative(nodes, nodes.coordinates)
         gap = self.pairing.gap
         return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
@@ -142,7 +147,9 @@ class FoundTie:
 
     number: int  # among all contacts and tied pairs
     tie: Tie
-    pairing: TiedPairing
+    pairing: TiedPairing  # of the undeformed or of the deformed surfaces
+    undeformed: TiedPairing
+    rigid_master: RigidBody | None = None  # as of a contact
 
 
 @dataclass(frozen=True)
@@ -154,6 +161,7 @@ class ContactSet:
     ties: list[FoundTie]
     prescribed: Prescribed  # the supports that they were found with
     bodies: RigidBodies
+    rigid: RigidNodes
     # whether unknowns are displacements from the deformed state of the conditions
     from_here: bool = False
 
@@ -174,25 +182,24 @@ class ContactSet:
         return [found.pairing.name for found in sorted(entries, key=lambda found: found.number)]
 
     def rows(self) -> ContactRows:
-        """Return the conditions of all contacts, one contact after the other."""
+        """Return the conditions of all contacts, one contact after the other. Collective."""
         parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
         for found in self.contacts:
             rows, k = found.pairing.rows(found.number), self.bodies.number(found.body)
             if k is not None and found.on_body is not None:
                 rows = self.bodies.frames[k].joined(rows, found.on_body.places)
             parts.append(rows)
-        return ContactRows.concatenate(parts)
+        return self.rigid.joined(ContactRows.concatenate(parts), self.bodies)
 
     def tied_rows(self) -> ContactRows:
-        """Return the rows of all ties, one tie after the other."""
+        """Return the rows of all ties, one tie after the other. Collective."""
         if not self.ties:
             return ContactRows.none(self.boundary.space.mesh.geometry.dim)
-        return ContactRows.concatenate(
-            [
-                replace(tie.pairing.rows, contact=np.full(tie.pairing.rows.size, tie.number))
-                for tie in self.ties
-            ]
-        )
+        rows = [
+            replace(tie.pairing.rows, contact=np.full(tie.pairing.rows.size, tie.number))
+            for tie in self.ties
+        ]
+        return self.rigid.joined(ContactRows.concatenate(rows), self.bodies)
 
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return where `rows` have friction, and from where slip is counted. Collective.
@@ -205,8 +212,9 @@ class ContactSet:
             if found.on_body is not None and nodal is not None:
                 moved = self._slip_of_body(found, found.on_body, origin, k)
                 friction[k] = replace(nodal, obstacle_displacement=moved)
-        if start is not None:
-            origin = replace(origin, displacement=origin.displacement - start)
+        displacement = origin.displacement - (0.0 if start is None else start)
+        displacement = self.rigid.relative_to_unknowns(displacement, self.bodies, self.from_here)
+        origin = replace(origin, displacement=displacement)
         return friction_rows(self.boundary.nodes, rows, self.pairings, friction, origin)
 
     def _slip_of_body(self, found: FoundContact, on: OnBody, origin: SlipOrigin, k: int) -> Vector:
@@ -301,7 +309,9 @@ class ContactSet:
             contacts.append(
                 after if k is None else self._on_body(after, bodies, k, uh, new.distance)
             )
-        return replace(self, contacts=contacts, bodies=bodies), measured
+        nodes = self.boundary.nodes
+        ties = [replace(tie, pairing=tie.undeformed.turned(nodes, uh)) for tie in self.ties]
+        return replace(self, contacts=contacts, ties=ties, bodies=bodies), measured
 
     def _on_body(
         self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
@@ -326,7 +336,12 @@ class ContactSet:
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
-        return replace(self, contacts=contacts, bodies=other.bodies).with_friction()
+        bodies = replace(other.bodies, frames=self.bodies.frames)
+        return replace(self, contacts=contacts, bodies=bodies).with_friction()
+
+    def bodies_after(self, solution: TornSolution) -> RigidBodies:
+        """Return the rigid bodies where a solution moves them. Collective."""
+        return self.bodies.moved(self.motions_after(solution.displacements))
 
     def solved(
         self, solution: TornSolution, uh: Function, bodies: RigidBodies | None = None
@@ -337,7 +352,7 @@ class ContactSet:
         """
         opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
         if bodies is None:
-            bodies = self.bodies.moved(self.motions_after(solution.displacements))
+            bodies = self.bodies_after(solution)
         shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
@@ -366,8 +381,10 @@ class ContactSet:
         self, frame: BodyFrame, place: BodyPlace, solution: TornSolution
     ) -> RigidBodyResult:
         force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
-        for found in self.contacts:
-            if found.body is frame.body:
+        entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
+        for found in entries:
+            is_obstacle = isinstance(found, FoundContact) and found.body is frame.body
+            if is_obstacle or found.rigid_master is frame.body:
                 entry = solution.report.contacts[found.number]
                 force += entry.force_on_master
                 moment += entry.moment_on_master
@@ -502,11 +519,14 @@ class ContactSearch:
         measure_weight: Any,
         timer: Timer,
         displacement: Function | None = None,
+        rigid: Mapping[int, RigidBody] | None = None,
     ) -> None:
         self._space, self._bodies, self._timer = space, bodies, timer
+        self._rigid_tags = rigid or {}
         self._displacement = displacement
         self._measure_weight = measure_weight
         self._roles: list[Roles] = []
+        self._made_master: list[Roles] = []  # pairs whose slave was rigid
         self.forget()
 
     def forget(self) -> None:
@@ -514,6 +534,9 @@ class ContactSearch:
         self._last: ContactSet | None = None
         with self._timer.phase("contact search"):
             self.boundary = MeshBoundary.of(self._space, self._measure_weight)
+            self.rigid = RigidNodes.of(
+                self._space, self._bodies, self._rigid_tags, self.boundary.coordinates
+            )
 
     def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
@@ -522,10 +545,11 @@ class ContactSearch:
             if isinstance(contact, Tie):
                 ties[number] = contact
             else:
-                touching[number] = self._roles_of(contact) or Roles(contact, contact)
+                touching[number] = self._roles_of(contact) or self._first_roles(contact)
+        self.rigid.check_supports(prescribed)
         with self._timer.phase("contact search"):
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
-            last = self._last or ContactSet(self.boundary, [], [], prescribed, none)
+            last = self._last or ContactSet(self.boundary, [], [], prescribed, none, self.rigid)
             known = [(found.contact, found.undeformed) for found in last.contacts]
             pairings = match_contacts(
                 self.boundary,
@@ -538,19 +562,52 @@ class ContactSearch:
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
-                FoundContact(number, roles, pairing, pairing).placed(self.boundary.nodes)
+                FoundContact(number, roles, pairing, pairing).placed(
+                    self.boundary.nodes, self.rigid
+                )
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
             found_ties = [
-                FoundTie(number, tie, self._tied(tie, number, last, prescribed))
-                for number, tie in ties.items()
+                self._found_tie(number, tie, last, prescribed) for number, tie in ties.items()
             ]
             bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
             found = ContactSet(
-                self.boundary, found_contacts, found_ties, prescribed, bodies
+                self.boundary, found_contacts, found_ties, prescribed, bodies, self.rigid
             ).with_friction()
         self._last = found
         return found
+
+    def _first_roles(self, contact: Contact) -> Roles:
+        """Return the roles of a new contact: a rigid surface is the master. Collective."""
+        known = next((roles for roles in self._made_master if roles.given is contact), None)
+        if known is not None or not isinstance(contact, ContactPair):
+            return known or Roles(contact, contact)
+        may_exchange = contact.roles == "auto" and one_sided_data(contact) is None
+        is_rigid = [
+            self.rigid.on_surface(self._nodes_of(contact, tag))
+            for tag in (contact.slave, contact.master)
+        ]
+        if is_rigid != [True, False] or not may_exchange:
+            return Roles(contact, contact)
+        reason = "slave and master are exchanged: the given slave is rigid"
+        self._made_master.append(Roles(contact, exchanged(contact), None, reason))
+        return self._made_master[-1]
+
+    def _nodes_of(self, contact: ContactPair, tag: int) -> Numbers:
+        """Return this rank's nodes on facets with a tag; wrong tags are found later."""
+        dim, domain = self._space.mesh.topology.dim - 1, self._space.mesh
+        tags = contact.facet_tags
+        if not (_compat.tags_are_on(tags, domain) and tags.dim == dim):
+            return np.zeros(0, dtype=np.int64)
+        facets = tags.find(tag)
+        return np.asarray(locate_dofs_topological(self._space, dim, facets), dtype=np.int64)
+
+    def _found_tie(
+        self, number: int, tie: Tie, last: ContactSet, prescribed: Prescribed
+    ) -> FoundTie:
+        pairing = self._tied(tie, number, last, prescribed)
+        master = self.rigid.master_of(pairing.rows, pairing.name)
+        return FoundTie(number, tie, pairing, pairing, master)
 
     def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""
@@ -577,7 +634,8 @@ class ContactSearch:
         Their nodes are numbered after those of the mesh and of as many bolts.
         """
         comm, gdim = self._space.mesh.comm, self._space.mesh.geometry.dim
-        bodies = list(dict.fromkeys(found.body for found in contacts if found.body is not None))
+        of_contacts = [found.body for found in contacts if found.body is not None]
+        bodies = list(dict.fromkeys([*self.rigid.bodies, *of_contacts]))
         for found in contacts:
             if found.body is not None and found.body.gdim != gdim:
                 raise InputError(
@@ -587,12 +645,13 @@ class ContactSearch:
 
         def box_of(body: RigidBody) -> Vector:
             on = [found.on_body for found in contacts if found.body is body]
-            x = np.concatenate([part.places for part in on if part is not None])
+            parts = [part.places for part in on if part is not None]
+            x = np.concatenate([*parts, self.rigid.places_of(body)])
             box = np.array([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
             comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
             return np.array([box[0], -box[1]])
 
-        first = self.boundary.nodes.total + bolts, len(self._bodies.names)
+        first = self.boundary.nodes.total + bolts, self._bodies.deformable
         frames = find_frames(bodies, box_of, first, known.frames)
         return RigidBodies(comm, gdim, frames, [BodyPlace.undeformed(body) for body in bodies])
 
@@ -630,6 +689,9 @@ class ContactSearch:
         comm, entry = self._space.mesh.comm, found.contacts[index]
         pair, pairing = entry.roles.given, entry.undeformed
         assert isinstance(pair, ContactPair)
+        if entry.roles.used is not pair:
+            self._roles.append(entry.roles)
+            return found
         ratio = roles_ratio(pairing, stiffness)
         roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
         if ratio is not None and prefers_exchange(pair, ratio):

@@ -373,8 +373,8 @@ class TiedPair:
     facet_tags : MeshTags
         Tags of facets.
     slave, master : int
-        Tag of the slave's and of the master's surface. The slave is better the surface with the
-        larger facets, of equal ones that of the softer body.
+        Tag of the slave's and of the master's surface. The slave should be the softer
+        surface and, of two equally stiff ones, that with the larger facets.
     name : str
         For messages and the report.
 

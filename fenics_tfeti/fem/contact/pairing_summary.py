@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -10,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.typing import Mask, Vector
 
@@ -77,13 +77,12 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
         return
     mean, deviation = entry["mean_gap"], entry["deviation"]
     kind = "clearance" if mean >= 0.0 else "interference"
-    warnings.warn(
+    warn_user(
         f"{entry['contact']}: the {kind} of the mesh, {abs(mean):.3g} in the mean, is smaller than "
         f"the deviation of the facets from the curved surfaces, up to {deviation:.3g}: gaps "
         f"between {entry['smallest_gap']:.3g} and {entry['largest_gap']:.3g} decide where the "
         "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
         "use cells of second order with displacement_space(mesh, degree=2), or finer facets",
-        stacklevel=2,
     )
 
 

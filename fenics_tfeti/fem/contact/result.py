@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, overload
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodyResult
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -289,7 +287,7 @@ class BoltResult(TiedResult):
         return self.entry.shortening
 
 
-class Results(Sequence[Any]):
+class Results(tuple[Any, ...]):
     """Results of contacts or of rigid bodies, by number or by name; they cannot be changed.
 
     Parameters
@@ -303,44 +301,27 @@ class Results(Sequence[Any]):
     >>> [result.name for result in problem.results]  # doctest: +SKIP
     """
 
-    def __init__(
-        self, results: Sequence[ContactResult | TiedResult | RigidBodyResult] = ()
-    ) -> None:
-        self._results = tuple(results)
+    __slots__ = ()
 
     @property
     def names(self) -> tuple[str, ...]:
         """The names of the contacts."""
-        return tuple(result.name for result in self._results)
+        return tuple(result.name for result in self)
 
-    @overload
-    def __getitem__(self, key: int | str) -> Any: ...
-
-    @overload
-    def __getitem__(self, key: slice) -> Sequence[Any]: ...
-
-    def __getitem__(self, key: int | str | slice) -> Any:
+    def __getitem__(self, key: Any) -> Any:
         """Return the result of a contact, by number or name, or those of some numbers."""
         if not isinstance(key, str):
-            return self._results[key]
-        named = [result for result in self._results if result.name == key]
+            return super().__getitem__(key)
+        named = [result for result in self if result.name == key]
         if not named:
             raise InputError(f"no contact has the name {key!r}; the names are {list(self.names)}")
         if len(named) > 1:
             raise InputError(f"more than one contact has the name {key!r}: take their numbers")
         return named[0]
 
-    def __iter__(self) -> Iterator[Any]:
-        """Go through the results in the order of the contacts."""
-        return iter(self._results)
-
-    def __len__(self) -> int:
-        """Return the number of contacts."""
-        return len(self._results)
-
     def __contains__(self, key: object) -> bool:
         """Tell whether a contact has a name, or whether a result is one of these."""
-        return key in self.names or any(key is result for result in self._results)
+        return key in self.names or any(key is result for result in self)
 
     def __repr__(self) -> str:
         """Return the names."""

@@ -1,19 +1,19 @@
 """Choice of the slave of mortar conditions among two surfaces.
 
 The condition number of the rows is about 1 + E_s h_m / (E_m h_s), with Young's moduli E and sizes h
-of the facets of slave and master: the slave is better the surface with the smaller E / h. It is
+of the facets of slave and master: the slave should be the surface with the smaller E / h. It is
 found from the stiffness matrices: their diagonal entries are about E h^(d - 2) in d dimensions.
 """
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -53,6 +53,8 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
     """Return E / h of the slave over that of the master; None for node pairs. Collective.
 
+    It is zero for a rigid master, which has no stiffness.
+
     The `nodal_stiffness` says how stiff the bodies are.
     """
     if not pairing.is_mortar or pairing.master_surface is None:
@@ -61,7 +63,7 @@ def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
         _modulus_over_size(surface, stiffness)
         for surface in (pairing.surface, pairing.master_surface)
     )
-    return slave / master
+    return slave / master if master > 0.0 else 0.0
 
 
 def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
@@ -110,12 +112,11 @@ def describe_roles(
 def warn_of_roles(name: str, ratio: float) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
     if 1.0 + ratio > _LARGE_CONDITION:
-        warnings.warn(
-            f"{name}: the slave is better the softer surface, or of equally stiff ones that with "
-            f"the larger facets. E / h of this one is {ratio:.0f} times that of the master, which "
-            "may cost iterations. Exchange slave and master; roles='auto' does it, unless data of "
-            "the contact belong to the given slave",
-            stacklevel=2,
+        warn_user(
+            f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
+            f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "
+            "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
+            "data of the contact belong to the given slave",
         )
 
 

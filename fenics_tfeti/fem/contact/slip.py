@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.result import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import vertex_nodes
+from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
 from fenics_tfeti.parallel import raise_collectively
@@ -125,10 +125,7 @@ def _nodal_values(space: FunctionSpace, function: Function, nodes: Numbers, labe
             f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
             "scalar one of Lagrange elements of degree 1 is expected"
         )
-    # the two spaces may number their nodes differently
-    dofs = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
-    dofs[vertex_nodes(space)] = vertex_nodes(source)
-    values: Vector = function.x.array[dofs[nodes - NodeMap(space).first]]
+    values: Vector = function.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
     return values
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -28,17 +29,20 @@ class Bodies:
     """
 
     of_cell: Numbers  # of each cell that this rank owns
+    deformable: int  # number of bodies that are not rigid, the first ones
     names: list[str]  # for messages
     tags: Numbers | None  # None where cells are not tagged
     part: Numbers  # the connected part of the mesh, whatever the tags, that each is in
     graph: sp.csr_matrix  # adjacency of owned cells through facets, whatever the tags
 
 
-def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
+def find_bodies(
+    domain: Mesh, cell_tags: Any | None, rigid: Collection[int] = frozenset()
+) -> Bodies:
     """Find the connected bodies of a distributed mesh. Collective.
 
     They are told apart by cell tags too, where given, and numbered by tag, then by their lowest
-    cell number in the input of the mesh.
+    cell number in the input of the mesh; those with rigid tags are the last ones.
     """
     tagged = cell_tags is not None
     tags = tags_of_cells(domain, cell_tags) if tagged else np.zeros(owned_cells(domain), np.int64)
@@ -47,13 +51,15 @@ def find_bodies(domain: Mesh, cell_tags: Any | None) -> Bodies:
     part = _global_components(domain, graph, np.zeros_like(tags))[0] if tagged else unordered
 
     common, lowest = _common_values(domain, unordered, np.stack([tags, part], axis=1), bodies)
-    order = np.lexsort((lowest, common[:, 0]))
+    is_rigid = np.isin(common[:, 0], list(rigid)) if tagged else np.zeros(bodies, dtype=bool)
+    order = np.lexsort((lowest, common[:, 0], is_rigid))
     number = np.empty(bodies, dtype=np.int64)
     number[order] = np.arange(bodies)
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
     names = _names(domain, of_cell, bodies, tag_of_body)
-    return Bodies(of_cell, names, tag_of_body, common[order, 1], graph)
+    deformable = bodies - int(np.count_nonzero(is_rigid))
+    return Bodies(of_cell, deformable, names, tag_of_body, common[order, 1], graph)
 
 
 def _global_components(domain: Mesh, graph: sp.csr_matrix, tags: Numbers) -> tuple[Numbers, int]:

@@ -23,18 +23,18 @@ from fenics_tfeti.fem.decomposition.partition import (
     as_subdomains,
     split_into_subdomains,
 )
-from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Indices, Vector
 
 
 class TornMesh:
     """Subdomains of a mesh, by the user's labels of cells or of a size; collective.
 
-    They are assembled again only where something changed. Coordinates `x` (dofs, 3) are those of
-    the blocked degrees of freedom [m].
+    Rigid bodies are in none of them. They are assembled again only where something changed.
+    Coordinates `x` (dofs, 3) are those of the blocked degrees of freedom [m].
     """
 
     def __init__(
@@ -54,22 +54,31 @@ class TornMesh:
         with timer.phase("compilation"):
             self.forms = prepare_forms(space, a, L, compiler)
         with timer.phase("partition"):
-            self._cells = (
+            cells = (
                 split_into_subdomains(space, bodies, size, partitioner)
                 if labels is None
                 else as_subdomains(space.mesh, bodies, labels)
             )
+            self._cells: list[Indices] = []
+            self._rigid_cells: list[Indices] = []
+            for part in cells:
+                is_rigid = bodies.of_cell[part[0]] >= bodies.deformable
+                (self._rigid_cells if is_rigid else self._cells).append(part)
         self.place_nodes(x)
 
     def place_nodes(self, x: Vector) -> None:
         """Take the nodes where they are now; all is assembled anew."""
         with self._timer.phase("partition"):
-            bodies = [self._bodies.of_cell[cells[0]] for cells in self._cells]
-            self._parts = number_parts(self._space, self._cells, bodies, x)
+            self._parts = self._numbered(self._cells, x)
+            self._rigid_parts = self._numbered(self._rigid_cells, x)
         self._values: FormValues | None = None  # with which the subdomains were assembled
         self._subdomains: list[Subdomain] = []
         # last: after an error above, the nodes count as moved in the next solve too
         self._nodes, self._x = x, self._space.mesh.geometry.x.copy()
+
+    def _numbered(self, cells: Sequence[Indices], x: Vector) -> list[Part]:
+        bodies = [self._bodies.of_cell[part[0]] for part in cells]
+        return number_parts(self._space, cells, bodies, x)
 
     @property
     def subdomains(self) -> list[Subdomain]:
@@ -109,9 +118,16 @@ class TornMesh:
 
     def load(self, forms: PreparedForms | None = None) -> Vector:
         """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
+        return self._load(forms or self.forms, self._parts)
+
+    def rigid_load(self) -> Vector:
+        """Return the load (nodes, gdim) on the cells of rigid bodies, as of `load`. Collective."""
+        return self._load(self.forms, self._rigid_parts)
+
+    def _load(self, forms: PreparedForms, parts: Sequence[Part]) -> Vector:
         nodes = NodeMap(self._space)
         with self._timer.phase("assembly"):
-            loads = (forms or self.forms).loads(self._parts)
-            at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in self._parts)]
+            loads = forms.loads(parts)
+            at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in parts)]
             values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
             return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)

@@ -25,7 +25,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.result import ContactResult
-from fenics_tfeti.fem.topology import owned_cells, tags_of_cells, vertex_nodes
+from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
 from fenics_tfeti.feti.files.arrays import folder_of
 from fenics_tfeti.parallel import raise_collectively
 
@@ -416,10 +416,7 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
     linear = _compat.element_facts(space)[1] == 1
     vector = space if linear else _compat.lagrange_space(space.mesh, 1, block)
     force = Function(vector, name="contact_force")
-    size = int(_compat.cell_dofs(space).max(initial=-1)) + 1
-    to_scalar, to_vector = np.zeros((2, size), dtype=np.int64)
-    to_scalar[vertex_nodes(space)] = vertex_nodes(scalar)
-    to_vector[vertex_nodes(space)] = vertex_nodes(vector)
+    to_scalar, to_vector = (nodes_in(other, space) for other in (scalar, vector))
     gap.x.array[:] = opening.x.array[:] = np.inf
     traction, slip = (Function(vector, name=name) for name in ("friction_traction", "slip"))
     for contact in contacts:

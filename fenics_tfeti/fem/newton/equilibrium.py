@@ -45,12 +45,13 @@ class DeformedRows:
         conditions = replace(conditions, from_here=True)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
-        moved = row_values(nodes, contacts, u, bodies.free_displacements(nodes.total))
+        free = bodies.free_displacements(nodes.total)
+        moved = row_values(nodes, contacts, u, free)
         return DeformedRows(
             conditions,
             replace(contacts, gap=contacts.gap - moved),
             conditions.friction_rows(origin, u),
-            replace(tied, gap=tied.gap - row_values(nodes, tied, u)),
+            replace(tied, gap=tied.gap - row_values(nodes, tied, u, free)),
         )
 
     @property

@@ -22,7 +22,6 @@ K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -33,6 +32,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -223,11 +223,10 @@ def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> Lo
     excess = np.sort(concatenate_ranks(comm, vectors.excess))[::-1]
     if excess.size <= most:
         return vectors
-    warnings.warn(
+    warn_user(
         f"deflation: {excess.size} directions in which the dual operator is large, more than the "
         f"{most} that a dense matrix is made for; the others may cost many iterations. Larger "
         "subdomains (option 'subdomain_size') cut fewer stiff parts of the material",
-        stacklevel=2,
     )
     return vectors.chosen((vectors.excess > excess[most]) | np.isinf(vectors.excess))
 

@@ -155,7 +155,10 @@ class _FixedPoint:
             # bounds that hold the load just so have no unique motion: once more than needed
             part, halved = 0.5 * part, held
         else:
-            reason = "no slip bounds near those of the last step can hold the load"
+            reason = (
+                "no slip bounds near those of the last step can hold the load: apply it in steps, "
+                "or hold the bodies that slide by more than friction"
+            )
             return SolveStatus.STALLED, reason
         self.iterate = self._moved(step.outcome)
         self.loosest = min(self.loosest, _INEXACT * step.change)

@@ -10,6 +10,8 @@ from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 from fenics_tfeti.feti.checks.system import check_system
 
+pytestmark = pytest.mark.once
+
 
 def triangle(points, nodes, body: int = 0) -> Subdomain:
     """Return a triangle of three springs along its sides; its kernel is that of elasticity."""

@@ -13,6 +13,8 @@ from torn import column, cube
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
 
+pytestmark = pytest.mark.once
+
 SOLVER = TornSolver(column())
 SYSTEM = DenseSystem.of(SOLVER)
 BODIES = SOLVER.setup.projector.coarse_space.bodies

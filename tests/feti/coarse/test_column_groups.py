@@ -14,6 +14,8 @@ from fenics_tfeti.feti.coarse.column_groups import (
     pivot_rows,
 )
 
+pytestmark = pytest.mark.once
+
 COLUMNS = sp.csr_matrix(
     np.array([[1.0, 0, 0], [2.0, 0, 0], [0, 3.0, 1.0], [0, 0, 0], [0, -4.0, 1.0]])
 )

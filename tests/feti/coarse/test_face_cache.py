@@ -12,6 +12,8 @@ from fenics_tfeti.feti import TornSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
 
+pytestmark = pytest.mark.once
+
 ROWS = np.eye(4, dtype=bool)
 
 

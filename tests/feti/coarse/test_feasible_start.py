@@ -14,6 +14,8 @@ from fenics_tfeti import UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.qp import least_norm
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("load", [(0, 0, -1.0), (0.3, -0.2, -2.0)])
 def test_feasible_start(load):

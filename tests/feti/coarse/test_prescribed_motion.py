@@ -11,6 +11,8 @@ from torn import column, cube
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 
+pytestmark = pytest.mark.once
+
 SHIFT = np.array([3.0, -2.0, 1.0])
 
 

@@ -11,6 +11,8 @@ from scipy.linalg import block_diag
 
 from fenics_tfeti.feti.coarse.resistance import sum_sparse, weak_motions
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 
 MODES, BODIES = 6, 9

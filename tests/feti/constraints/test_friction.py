@@ -22,6 +22,8 @@ from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.qp import balls
 
+pytestmark = pytest.mark.once
+
 SYSTEMS = {
     "pushed": pushed_block,
     "do not match": blocks_that_do_not_match,

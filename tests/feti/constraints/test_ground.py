@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from springs import pressed_column
 from torn import column
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns, hold_ground
 from fenics_tfeti.feti.constraints.rows import build_constraints
+
+pytestmark = pytest.mark.once
 
 SYSTEM = pressed_column(1e-6)
 SIZES = np.array([s.size for s in SYSTEM.subdomains])

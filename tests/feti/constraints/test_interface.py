@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.local.congruence import CongruenceClass
+
+pytestmark = pytest.mark.once
 
 # Subdomains 0 and 2 with three unknowns are congruent, 1 has two. B touches the unknowns 1 and 2 of
 # the first, 0 of the second, and 0 of the third: for the class of both, these are 0, 1 and 2.

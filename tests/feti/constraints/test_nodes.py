@@ -7,6 +7,8 @@ import pytest
 
 from fenics_tfeti.feti.constraints.nodes import count_copies
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize(
     "nodes",

@@ -12,6 +12,8 @@ from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.rows import build_constraints
 
+pytestmark = pytest.mark.once
+
 SECOND = 10**9
 NODE, OTHER = 2 * 1000 * 1000 + 2 * 1000 + 2, SECOND + 10  # of the first and of the second cube
 X, Y, Z = np.eye(3)

@@ -11,6 +11,8 @@ from torn import column, cube
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
 from fenics_tfeti.feti.constraints.scaling import node_weights
 
+pytestmark = pytest.mark.once
+
 
 def cubes(*factors: float) -> TornSystem:
     """Return a column of glued cubes of one element with multiples of one stiffness."""

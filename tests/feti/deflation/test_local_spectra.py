@@ -18,6 +18,8 @@ from fenics_tfeti.feti.deflation.local_spectra import (
     threshold,
 )
 
+pytestmark = pytest.mark.once
+
 every_gdim = pytest.mark.parametrize("gdim", [2, 3])
 
 

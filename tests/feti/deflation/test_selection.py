@@ -11,6 +11,8 @@ from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.deflation.local_spectra import threshold
 from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
 
+pytestmark = pytest.mark.once
+
 
 def jumps(system: TornSystem) -> list[bool]:
     """Return for each subdomain whether the stiffness jumps on its interface."""

@@ -10,6 +10,8 @@ from torn import column
 from fenics_tfeti.feti import TornSolver
 from fenics_tfeti.feti.dual.augmented import augmented_hessian
 
+pytestmark = pytest.mark.once
+
 SOLVER = TornSolver(column())
 SYSTEM = DenseSystem.of(SOLVER)
 

@@ -14,6 +14,10 @@ from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.qp import Products
 
+pytestmark = pytest.mark.once
+
+heavy = pytest.mark.heavy
+
 SYSTEMS = {
     "strip": pulled_strip,
     "block": pushed_block,
@@ -48,7 +52,15 @@ def by_newton(solver, rtol):
     return problem, found
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "strip",
+        "block",
+        "corner",
+        *(pytest.param(n, marks=heavy) for n in ("groove", "small bounds")),
+    ],
+)
 def test_cost_is_the_smallest_for_any_bounds(name):
     solver = TornSolver(SYSTEMS[name](), Options())
     exact = solver.solve().multipliers

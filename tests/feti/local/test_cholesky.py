@@ -111,7 +111,7 @@ def resident_bytes() -> int:
 
 @each_package
 def test_factors_free_their_memory(package):
-    A, b = laplacian(12), np.ones((12**3, 3))
+    A, b = laplacian(8), np.ones((8**3, 3))
 
     def make_factors(number: int) -> int:
         for _ in range(number):

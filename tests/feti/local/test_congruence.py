@@ -17,6 +17,8 @@ from fenics_tfeti.feti.local.congruence import (
 )
 from fenics_tfeti.feti.local.frames import Frames
 
+pytestmark = pytest.mark.once
+
 OPTIONS = [
     {},
     {"preconditioner": "lumped", "scaling": "stiffness"},

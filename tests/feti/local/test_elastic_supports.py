@@ -9,6 +9,8 @@ from torn import cube
 
 from fenics_tfeti.feti.local.elastic_supports import set_free
 
+pytestmark = pytest.mark.once
+
 CUBE = cube(2)
 
 

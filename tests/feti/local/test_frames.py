@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from scipy.stats import ortho_group
 
 from fenics_tfeti.feti.local.frames import Frames, in_frame, out_of_frame
+
+pytestmark = pytest.mark.once
 
 TURNS = ortho_group.rvs(3, size=4, random_state=0)
 

@@ -12,6 +12,8 @@ from torn import cube
 
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
 
+pytestmark = pytest.mark.once
+
 
 def lattice(*shape: int) -> np.ndarray:
     return np.array(list(itertools.product(*(range(n + 1) for n in shape))), dtype=float)

@@ -13,6 +13,8 @@ from torn import column
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 
 

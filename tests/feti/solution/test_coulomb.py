@@ -12,6 +12,8 @@ from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.solution.coulomb import _failure
 from fenics_tfeti.feti.system import TornSystem
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("ratio", [0.1, 0.5, 0.89])
 def test_steps_that_contract_go_on(ratio):

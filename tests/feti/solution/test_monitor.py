@@ -11,6 +11,8 @@ from fenics_tfeti.feti import ActiveSetStep, Options, TornSolver
 from fenics_tfeti.feti.solution.monitor import describe_step
 from fenics_tfeti.qp import OuterIteration
 
+pytestmark = pytest.mark.once
+
 
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 def test_function_gets_the_steps_of_the_report(method):

@@ -31,7 +31,7 @@ def expected() -> np.ndarray:
     return np.concatenate(TornSolver(stiff_block_over_uneven_gaps()).solve().displacements)
 
 
-@pytest.mark.parametrize("patience", [1, 3, 20, 1000])
+@pytest.mark.parametrize("patience", [1, 20, 1000])
 def test_smalbe_hands_over_where_it_is_slow(patience, expected):
     options = Options(method="smalbe", scaling="multiplicity", smalbe_patience=patience)
     solution = TornSolver(stiff_block_over_uneven_gaps(), options).solve()

@@ -11,6 +11,8 @@ from torn import column, cube
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
 from fenics_tfeti.feti.solution.row_bodies import RowBodies, without_unloaded_groups
 
+pytestmark = pytest.mark.once
+
 LOOSE = 2 * 10**9
 
 

@@ -15,6 +15,8 @@ from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import History
 from fenics_tfeti.feti.timer import Timer
 
+pytestmark = pytest.mark.once
+
 
 def scale_of(solver: TornSolver) -> EnergyScale:
     """Return the scale of a solver's problem, with no gap shortened."""

@@ -2,7 +2,17 @@
 
 from __future__ import annotations
 
-from mistakes import arguments, contacts, forms, meshes, pairing, supports
+from mistakes import arguments, bodies, contacts, forms, meshes, pairing, supports
 from mistakes.catalogue import MISTAKES, Mistake
 
-__all__ = ["MISTAKES", "Mistake", "arguments", "contacts", "forms", "meshes", "pairing", "supports"]
+__all__ = [
+    "MISTAKES",
+    "Mistake",
+    "arguments",
+    "bodies",
+    "contacts",
+    "forms",
+    "meshes",
+    "pairing",
+    "supports",
+]

@@ -22,6 +22,7 @@ TITLES = {
     "meshes": "The mesh",
     "contacts": "Contact pairs and obstacles",
     "pairing": "Partners, gaps and normals",
+    "bodies": "Rigid bodies, bolts, periodic surfaces",
     "arguments": "Other arguments",
 }
 

@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import permutations
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -28,7 +26,8 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
-from fenics_tfeti.parallel import Directory, concatenate_buffers
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.parallel import concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -80,14 +79,9 @@ def tied_conditions(
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
     gdim, fixed = prescribed.shape[1], surface.at_corners(prescribed)
     all_fixed = np.broadcast_to(fixed.all(axis=1, keepdims=True), fixed.shape)
-    directory = Directory(surface.comm, slave.nodes)
-    keys, flags = directory.collect(
-        slave.nodes[slave.facets.corners.ravel()],
-        np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim),
-    )
-    table = np.zeros((directory.keys.size, 2 * gdim), dtype=bool)
-    np.logical_or.at(table, directory.position(keys), flags)
-    flags = directory.lookup(slave.nodes, table)[1]
+    flags = np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim)
+    nodes, corners = surface.boundary.nodes, slave.nodes[slave.facets.corners.ravel()]
+    flags = nodes.values_at(nodes.sum_at_owners(corners, flags, np.logical_or), slave.nodes)
     free = ~flags[:, :gdim] & flags[:, gdim:]
     # of degree 2 the solution is more exact with the shape functions as multipliers
     dual = slave.facets.per_facet == 1
@@ -106,9 +100,9 @@ def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -
     facets = Facets(slave.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[facets.corners]
     D = slave_matrix(integrate_alone(facets, weight), facets).tocoo()
-    owners = Directory(surface.comm, surface.nodes)
     row, column = slave.nodes[D.row], slave.nodes[D.col]
-    return collect_terms(owners, row, column, D.data, np.ones(D.nnz, dtype=bool))
+    all_nodes, on_slave = surface.boundary.nodes, np.ones(D.nnz, dtype=bool)
+    return collect_terms(all_nodes, row, column, D.data, on_slave)
 
 
 def _conditions(
@@ -121,26 +115,29 @@ def _conditions(
 ) -> MortarConditions:
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
     matrices = mortar_matrices(integrals, slave.facets, master.facets, dual)
-    owners = Directory(surface.comm, surface.nodes)
-    parts = np.column_stack(node_areas(integrals, slave.facets))
-    sharing = SharedMultipliers.of(surface.comm, slave, integrals, parts, free)
+    all_nodes = surface.boundary.nodes
+    areas = all_nodes.sum_at_owners(
+        slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
+    )
+    sharing = SharedMultipliers.of(all_nodes, slave, integrals, areas, free)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
     row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
     terms = collect_terms(
-        owners,
+        all_nodes,
         row,
         np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[position],
         share * np.concatenate([D.data, -M.data])[position],
         np.repeat([True, False], [D.nnz, M.nnz])[position],
     )
-    nodes = terms.slave
+    own = terms.slave - all_nodes.first
     row, position, share = sharing.rows(slave.nodes)
     normal = slave.normal * matrices.area[:, None]
     integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
-    sums = _reduce_at_nodes(owners, nodes, row, integral, np.add)
+    sums = all_nodes.sum_at_owners(row, integral)[own]
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    total, covered = _reduce_at_nodes(owners, nodes, slave.nodes, parts, np.add).T
-    chord, deviation, angle = _largest_of_facets(owners, slave, master, integrals, nodes)
+    total, covered = areas[own].T
+    largest, corners = _largest_of_facets(slave, master, integrals)
+    chord, deviation, angle = all_nodes.sum_at_owners(corners, largest, np.maximum)[own].T
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return MortarConditions(
@@ -166,7 +163,7 @@ class SharedMultipliers:
 
     @staticmethod
     def of(
-        comm: MPI.Intracomm,
+        all_nodes: NodeMap,
         slave: SurfaceFacets,
         integrals: FacetIntegrals,
         areas: Vector,
@@ -174,14 +171,10 @@ class SharedMultipliers:
     ) -> SharedMultipliers:
         """Find the nodes that have no multiplier, and their neighbours. Collective.
 
-        The areas (n, 2) are the whole and covered ones of the nodes on this rank's facets. The
+        The areas (owned, 2) are the whole and covered ones of the nodes that this rank owns. The
         nodes of `free` (n,), alike on all ranks, must not have a multiplier.
         """
-        directory = Directory(comm, slave.nodes)
-        keys, parts = directory.collect(slave.nodes, areas)
-        total = np.zeros((directory.keys.size, 2))
-        np.add.at(total, directory.position(keys), parts)
-        full, covered = directory.lookup(slave.nodes, total)[1].T
+        full, covered = all_nodes.values_at(areas, slave.nodes).T
         # of degree 2, nodes that are no vertices have no area
         coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
         corners = slave.facets.corners[integrals.facet]
@@ -193,7 +186,8 @@ class SharedMultipliers:
         j, k = j[excluded], k[excluded]
         # each pair with the coverage of its nodes, which all ranks have summed alike
         columns = concatenate_buffers(
-            comm, slave.nodes[j], slave.nodes[k], coverage[j], coverage[k], free[j], free[k]
+            all_nodes.comm,
+            *(column[rows] for column in (slave.nodes, coverage, free) for rows in (j, k)),
         )
         first_node, second_node, *values = columns
         nodes, first, inverse = np.unique(
@@ -225,26 +219,16 @@ class SharedMultipliers:
         return rows, position, share
 
 
-def _reduce_at_nodes(
-    owners: Directory, nodes: Numbers, row: Numbers, values: Vector, ufunc: np.ufunc
-) -> Vector:
-    """Sum or maximise rows of values (t, q) at this rank's nodes (k,) of conditions. Collective."""
-    keys, values = owners.forward(row, values)
-    conditioned = np.isin(keys, nodes)
-    result = np.zeros((nodes.size, values.shape[1]))
-    ufunc.at(result, np.searchsorted(nodes, keys[conditioned]), values[conditioned])
-    return result
-
-
 def collect_terms(
-    owners: Directory, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
+    all_nodes: NodeMap, row: Numbers, column: Numbers, value: Vector, on_slave: Mask
 ) -> Terms:
     """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
     `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
     which `on_slave` says to be one of the slave. Values are negative on the master [m^2 or m].
     """
-    row, column, value, on_slave = owners.forward(row, column, value, on_slave)
+    row, column, value, on_slave = all_nodes.to_owners(row, column, value, on_slave)
+    row = row + all_nodes.first
     # values in ascending order: the sum does not depend on the order in which they arrive
     order = np.lexsort((value, column, row))
     row, column, value, on_slave = row[order], column[order], value[order], on_slave[order]
@@ -265,13 +249,9 @@ def collect_terms(
 
 
 def _largest_of_facets(
-    owners: Directory,
-    slave: SurfaceFacets,
-    master: SurfaceFacets,
-    integrals: FacetIntegrals,
-    nodes: Numbers,
-) -> Vector:
-    """Return the largest chords, deviations and angles (3, k) of facets around nodes.
+    slave: SurfaceFacets, master: SurfaceFacets, integrals: FacetIntegrals
+) -> tuple[Vector, Numbers]:
+    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them.
 
     The angles are those between the planes of the facets' corners.
     """
@@ -285,7 +265,7 @@ def _largest_of_facets(
     largest[:, :2] += _heights(slave)
     covered = slave.facets.corners[integrals.facet]
     values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
-    return _reduce_at_nodes(owners, nodes, slave.nodes[covered.ravel()], values, np.maximum).T
+    return values, slave.nodes[covered.ravel()]
 
 
 def _heights(surface: SurfaceFacets) -> Vector:

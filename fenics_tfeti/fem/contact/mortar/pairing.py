@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx.fem import Function
@@ -23,8 +21,9 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.parallel import Directory, raise_collectively
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -44,7 +43,7 @@ def match_by_mortar(
     """
     oriented = replace(slave, normal=_normals(contact, slave, prescribed))
     facets = oriented.oriented_part()
-    check_folds(slave.comm, facets, name)
+    check_folds(slave.boundary.nodes, facets, name)
     conditions = mortar_conditions(slave, facets, master, shared)
     check_covered(conditions, slave, name)
     rows = np.searchsorted(slave.nodes, conditions.slave)
@@ -160,7 +159,7 @@ def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> No
         )
 
 
-def check_folds(comm: MPI.Intracomm, slave: SurfaceFacets, name: str) -> None:
+def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, name: str) -> None:
     """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
     corners, points = slave.facets.pieces, slave.points
     normal = Planes.of(slave.facets.coordinates()).normal
@@ -168,8 +167,7 @@ def check_folds(comm: MPI.Intracomm, slave: SurfaceFacets, name: str) -> None:
     ends = np.stack([corners, corners if v == 2 else np.roll(corners, -1, axis=1)], axis=2)
     middle = points[ends].mean(axis=2).reshape(-1, gdim)
     edges = np.sort(slave.nodes[ends.reshape(-1, 2)], axis=1)
-    directory = Directory(comm, np.unique(slave.nodes))
-    low, high, middle, normal = directory.collect(
+    low, high, middle, normal = all_nodes.to_owners(
         edges[:, 0], edges[:, 1], middle, np.repeat(normal, v, axis=0)
     )
     order = np.lexsort((high, low))
@@ -177,7 +175,7 @@ def check_folds(comm: MPI.Intracomm, slave: SurfaceFacets, name: str) -> None:
     same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
     folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
     raise_where(
-        comm,
+        all_nodes.comm,
         folded,
         middle[1:],
         lambda number, place: (

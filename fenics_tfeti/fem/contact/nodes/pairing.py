@@ -12,7 +12,7 @@ from fenics_tfeti.fem.contact.checks import (
     check_not_crossed,
     check_one_to_one,
     check_partners,
-    check_shared_nodes,
+    check_separate,
 )
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import ContactPair, NodePartners
@@ -25,6 +25,13 @@ from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+_SEPARATE = (
+    "The surfaces overlap or the bodies are one: each body needs nodes of its own. Bodies that "
+    "share nodes, as Gmsh's fragment makes them, get their own by "
+    "fenics_tfeti.io.split_interfaces. (Where two faces of one body meet, such as at the tip of a "
+    "crack, partial=True leaves the shared nodes free)"
+)
 
 
 def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> bool:
@@ -122,10 +129,9 @@ def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partia
 
     `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
     """
-    is_shared = np.isin(slave.nodes, master)
-    shared = concatenate_ranks(slave.comm, slave.nodes[is_shared])
-    partly = shared.size < number
-    check_shared_nodes(slave, is_shared, partial and partly, name)
+    shared = concatenate_ranks(slave.comm, slave.nodes[np.isin(slave.nodes, master)])
+    if not partial or shared.size >= number:
+        check_separate(slave, master, name, _SEPARATE)
     return shared
 
 

@@ -33,17 +33,17 @@ Components: TypeAlias = Any
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """A rigid body that forces move: the `body` of one or several obstacles.
+    """A rigid body that forces move: the `body` of obstacles, or cells of the mesh.
 
-    Its shape is that of the obstacles, where nothing has moved it. The same object in several
-    obstacles is one body.
+    Its shape is that of the obstacles and cells, where nothing has moved it. The same object in
+    several places is one body.
 
     Attributes
     ----------
     reference : (gdim,) array-like
         The point that translations, rotations, moments and springs refer to [m].
     force : (gdim,) array-like or dolfinx.fem.Constant
-        Force on the body, at the reference point [N].
+        Force on the body, at the reference point [N], beside that of forms on its cells.
     moment : (3,) array-like, in 2D a number, or dolfinx.fem.Constant
         Moment on the body [N m].
     translation, rotation : sequence, number, dolfinx.fem.Constant or None
@@ -228,6 +228,7 @@ class BodyFrame:
     corners: Vector  # (gdim + 1, gdim) [m]
     # without loads: the body, and its spring as an elastic body at the same nodes
     templates: list[Subdomain] = field(repr=False)
+    load_on_cells: Vector | None = None  # (modes,): of the form on the cells of the mesh's body
 
     @staticmethod
     def build(
@@ -269,6 +270,12 @@ class BodyFrame:
         """The global numbers of the corners (gdim + 1,)."""
         return self.templates[0].nodes
 
+    @property
+    def load(self) -> Vector:
+        """Force and moment now (modes,), of the body and on its cells."""
+        own = self.body.load
+        return own if self.load_on_cells is None else own + self.load_on_cells
+
     @cached_property
     def _motion_of_corners(self) -> Vector:
         """The matrix (modes, n) of the motion that displacements of the corners are."""
@@ -277,7 +284,7 @@ class BodyFrame:
 
     def subdomains(self, start: Vector) -> list[Subdomain]:
         """Return the body, and its spring if it has one, with the loads now, at a motion."""
-        loads = [self.body.load, -self.body.stiffness @ self.with_prescribed(start)]
+        loads = [self.load, -self.body.stiffness @ self.with_prescribed(start)]
         return [
             replace(template, load=self.nodal(load))
             for template, load in zip(self.templates, loads, strict=False)
@@ -305,11 +312,17 @@ class BodyFrame:
         """Return the displacements (k, gdim) of points (k, gdim) in a small motion [m]."""
         return _displacements(motion, points - self.body.point)
 
+    def weights(self, points: Vector) -> Vector:
+        """Return the barycentric coordinates (k, gdim + 1) of points (k, gdim)."""
+        simplex = np.vstack([self.corners.T, np.ones(len(self.corners))])
+        columns = np.vstack([points.T, np.ones(len(points))])
+        weights: Vector = np.linalg.solve(simplex, columns).T
+        return weights
+
     def joined(self, rows: ContactRows, points: Vector) -> ContactRows:
         """Return rows (k,) with the body at points (k, gdim) as the master."""
         k, corners = rows.size, len(self.corners)
-        simplex = np.vstack([self.corners.T, np.ones(corners)])
-        weights = np.linalg.solve(simplex, np.column_stack([points, np.ones(k)]).T).T
+        weights = self.weights(points)
         sums = rows.length[:, None] * rows.normal
         order = np.argsort(np.append(rows.row, np.repeat(np.arange(k), corners)), kind="stable")
         terms = (-weights[:, :, None] * sums[:, None, :]).reshape(-1, points.shape[1])
@@ -391,6 +404,13 @@ class RigidBodies:
         start = from_here * here
         return frame.with_prescribed(start) - here
 
+    def loaded(self, loads: Vector) -> RigidBodies:
+        """Return the bodies with loads (k, modes) on the cells of the first ones."""
+        frames = list(self.frames)
+        for k, load in enumerate(loads):
+            frames[k] = replace(frames[k], load_on_cells=load)
+        return replace(self, frames=frames)
+
     def saved(self) -> Vector:
         """Return the places as an array (bodies, modes + 4), of motions and quaternions."""
         rows = [np.append(place.motion, place.turned.as_quat()) for place in self.places]
@@ -448,7 +468,7 @@ class RigidBodies:
         left = [np.zeros(0)]
         for frame, place in zip(self.frames, self.places, strict=True):
             body, modes = frame.body, _modes(frame.corners - frame.body.point)
-            load = body.load - body.stiffness @ frame.with_prescribed(place.motion)
+            load = frame.load - body.stiffness @ frame.with_prescribed(place.motion)
             load += forces[frame.nodes - first].ravel() @ modes
             left.append(frame.nodal(np.where(body.is_free, load, 0.0)))
         return np.concatenate(left)
@@ -488,7 +508,7 @@ class RigidBodyResult:
         r = body.point
         arm = np.cross(r, force) if gdim == 3 else np.array([r[0] * force[1] - r[1] * force[0]])
         contact = np.append(force, moment - arm)
-        held = 0.0 - (body.load + contact)
+        held = 0.0 - (frame.load + contact)
         return RigidBodyResult(
             frame.name,
             place.motion[:gdim].tolist(),

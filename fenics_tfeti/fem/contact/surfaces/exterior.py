@@ -13,9 +13,9 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem.contact.mortar.facets import Planes
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices, exterior_cell_facets
+from fenics_tfeti.fem.topology import cell_facets, exterior_cell_facets
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
@@ -32,20 +32,15 @@ class ExteriorFacets:
     @staticmethod
     def of(domain: Mesh, bodies: Bodies) -> ExteriorFacets:
         """Find the facets of this rank's cells that have no neighbour."""
-        gdim, kind = domain.geometry.dim, cell_type(domain)
         cell, facet = np.nonzero(exterior_cell_facets(domain))
-        rows, x = cell_vertices(domain)[cell], domain.geometry.x[:, :gdim]
-        nodes = np.take_along_axis(rows, np.array(kind.facet_nodes(1))[facet], axis=1)
-        outward = x[nodes].mean(axis=1) - x[rows].mean(axis=1)
-        inverted = np.sum(corner_normals(x[nodes]).sum(axis=1) * outward, axis=1) < 0.0
-        nodes = np.where(inverted[:, None], nodes[:, ::-1], nodes)
+        nodes = oriented_corners(domain, cell, facet)
         # the numbers in the input are those of all ranks, see `surface_nodes`
         input_numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
         return ExteriorFacets(
             cell_facets(domain)[cell, facet],
             bodies.of_cell[cell],
             input_numbers[nodes],
-            x[nodes],
+            domain.geometry.x[nodes, : domain.geometry.dim],
         )
 
     def sizes(self) -> Vector:

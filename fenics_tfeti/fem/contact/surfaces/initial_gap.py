@@ -46,9 +46,9 @@ def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[
     v = corners.shape[1]
     heights, node_heights = [], []
     for i, j in combinations(range(v), 2):
-        length = np.linalg.norm(corners[:, i] - corners[:, j], axis=1)
-        angle = np.linalg.norm(normals[:, i] - normals[:, j], axis=1)
-        heights.append(length * angle / 8.0)
+        edge, turn = corners[:, j] - corners[:, i], normals[:, j] - normals[:, i]
+        # the part along the edge: on an edge oblique to the axis of a cylinder, normals turn aside
+        heights.append(np.abs(np.einsum("fd,fd->f", edge, turn)) / 8.0)
         middle = 0.5 * (corners[:, i] + corners[:, j])
         node = middle if middles is None else middles[:, _middle(i, j, v)]
         node_heights.append(np.linalg.norm(node - middle, axis=1))

@@ -39,13 +39,23 @@ def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
     columns = np.array(cell.facet_nodes(degree))
     nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[numbers]]
 
-    x = domain.geometry.x[:, :dim]
+    return _outwards(domain, cells, numbers, nodes)
+
+
+def oriented_corners(domain: Mesh, cells: Numbers, numbers: Numbers) -> Indices:
+    """Return the rows (f, v) of ``geometry.x`` at the corners of facets of cells, as above."""
+    corners = np.array(cell_type(domain).facet_nodes(1))[numbers]
+    corners = np.take_along_axis(cell_vertices(domain)[cells], corners, axis=1)
+    return _outwards(domain, cells, numbers, corners)
+
+
+def _outwards(domain: Mesh, cells: Numbers, numbers: Numbers, nodes: Indices) -> Indices:
+    """Return the nodes (f, t) of facets of cells, by their numbers in these, oriented outwards."""
+    x, cell = domain.geometry.x[:, : domain.geometry.dim], cell_type(domain)
     rows = cell_vertices(domain)[cells]
-    corners = np.array(cell.facet_nodes(1))[numbers]
-    corner_points = x[np.take_along_axis(rows, corners, axis=1)]
-    outward = corner_points.mean(axis=1) - x[rows].mean(axis=1)
-    normal = corner_normals(corner_points).sum(axis=1)
-    inverted = np.sum(normal * outward, axis=1) < 0.0
+    corners = x[np.take_along_axis(rows, np.array(cell.facet_nodes(1))[numbers], axis=1)]
+    outward = corners.mean(axis=1) - x[rows].mean(axis=1)
+    inverted = np.sum(corner_normals(corners).sum(axis=1) * outward, axis=1) < 0.0
     reflected = nodes[:, _reflection(cell.facet, nodes.shape[1])]
     return np.where(inverted[:, None], reflected, nodes)
 

@@ -8,14 +8,16 @@ from functools import partial
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.contact.ties.description import BoltPreload, LinearRows, PeriodicPair
-from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing, check_separate
+from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
@@ -151,19 +153,18 @@ def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPai
     dofs = np.append(slaves + gdim * nodes.first, masters)
     factor = np.append(np.ones(slaves.size), -np.asarray(given.coefficients, dtype=float))
     row = np.append(np.arange(slaves.size), row)
-    # the slave's node comes first, with all terms of its components, then those of the masters
-    slave = slaves // gdim + nodes.first
-    order = np.lexsort((dofs // gdim, dofs // gdim != slave[row], row))
-    row, dofs, factor = row[order], dofs[order], factor[order]
-    node = dofs // gdim
-    first = np.flatnonzero(np.diff(row, prepend=-1).astype(bool) | (np.diff(node, prepend=-1) != 0))
-    coefficients = np.zeros((first.size, gdim))
-    term = np.searchsorted(first, np.arange(row.size), side="right") - 1
-    np.add.at(coefficients, (term, dofs % gdim), factor)
+    shape = (slaves.size, gdim * nodes.total)
+    terms = sp.csr_matrix((factor, (row, dofs)), shape).tobsr((1, gdim))
+    # the slave's node comes first, then those of the masters
+    slave, row = (
+        slaves // gdim + nodes.first,
+        np.repeat(np.arange(slaves.size), np.diff(terms.indptr)),
+    )
+    order = np.lexsort((terms.indices, terms.indices != slave[row], row))
     rows = ContactRows(
-        np.append(0, np.cumsum(np.bincount(row[first], minlength=slaves.size))),
-        node[first],
-        coefficients,
+        terms.indptr,
+        terms.indices[order],
+        terms.data[order, 0],
         np.broadcast_to(np.asarray(given.values, dtype=float), slaves.shape).copy(),
         np.zeros(slaves.size, dtype=np.int64),
     )

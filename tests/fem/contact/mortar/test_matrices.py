@@ -88,7 +88,7 @@ def test_matching_surfaces_give_node_to_node_rows():
     assert abs(matrices.M - matrices.D).max() < 1e-15
 
 
-@pytest.mark.parametrize("exponent", range(1, 13))
+@pytest.mark.parametrize("exponent", [1, 3, 6, 9, 12])
 @pytest.mark.parametrize("corners", [2, 3, 4])
 def test_slivers(corners, exponent):
     """The master's border is a little beyond a line of the slave's nodes."""

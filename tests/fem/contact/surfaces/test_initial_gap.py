@@ -115,6 +115,18 @@ def test_deviation_of_curved_facets():
     assert curved < 1e-3 * straight
 
 
+def test_heights_on_oblique_edges_of_a_cylinder():
+    """A triangle with edges around the axis, along it and oblique: only the arc counts."""
+    angle, radius = np.array([0.05, -0.05, 0.05]), 2.0
+    normals = np.stack([np.sin(angle), np.cos(angle), 0.0 * angle], axis=1)[None]
+    corners = radius * normals + np.array([0.0, 0.0, 1.0]) * np.array([0.0, 0.0, 0.7])[:, None]
+    arc = np.array([0.0, radius, 0.0]), np.array([0.0, radius, 0.35])
+    middles = np.array([arc[0], arc[1], 0.5 * (corners[0, 0] + corners[0, 2])])[None]
+    sagitta = radius * (1.0 - np.cos(0.05))
+    assert chord_heights(corners, normals)[0] == pytest.approx(4.0 / 3.0 * sagitta, rel=1e-3)
+    assert facet_deviations(corners, normals, middles)[0] < 1e-3 * sagitta
+
+
 @pytest.mark.parametrize("gap", [0.002, -0.002], ids=["clearance", "interference"])
 def test_gaps_below_the_deviation_of_the_facets_are_told(gap):
     """7 and 10 facets on an arc of 1.6 m with radius 2 m: sagittas of 3.3 and 1.6 mm."""

@@ -1,0 +1,257 @@
+"""Nodes of the mesh that move with rigid bodies: conditions in terms of the bodies' corners.
+
+The cells of a rigid body are in no subdomain. A rigid motion is an affine function of the place, so
+that the term of a row at a node of the body is one at the corners of its frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from mpi4py import MPI
+
+import numpy as np
+
+from dolfinx.fem import Function, FunctionSpace
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.obstacles.rigid_body import (
+    BodyFrame,
+    BodyPlace,
+    RigidBodies,
+    RigidBody,
+)
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.typing import Numbers, Vector
+
+
+@dataclass(frozen=True)
+class RigidNodes:
+    """The nodes that this rank owns, and the rigid bodies that some of them move with.
+
+    The bodies are the first ones of a problem's `RigidBodies`, in the same order.
+    """
+
+    nodes: NodeMap
+    x: Vector  # (owned, gdim): undeformed places [m]
+    bodies: Sequence[RigidBody]  # the same on all ranks
+    body: Numbers  # (owned,): number of each node's body; -1 of deformable ones
+
+    @staticmethod
+    def of(
+        space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody], coordinates: Vector
+    ) -> RigidNodes:
+        """Find the nodes of the cells with rigid tags, and check that no others have them.
+
+        The coordinates (dofs, 3) are those of this rank's nodes. Collective.
+        """
+        nodes, distinct = NodeMap(space), list(dict.fromkeys(rigid.values()))
+        x = coordinates[: nodes.owned, : space.mesh.geometry.dim]
+        if not rigid:
+            return RigidNodes(nodes, x, [], np.full(nodes.owned, -1))
+        assert bodies.tags is not None
+        number = np.array(
+            [distinct.index(rigid[tag]) if tag in rigid else -1 for tag in bodies.tags.tolist()]
+        )
+        dofs = _compat.cell_dofs(space)[: bodies.of_cell.size]
+        at = nodes.to_global(dofs).ravel()
+        values = np.repeat(number[bodies.of_cell], dofs.shape[1])
+        body = nodes.sum_at_owners(at, values, np.maximum)
+        shared = (body >= 0) & (nodes.sum_at_owners(at, values, np.minimum) < 0)
+        raise_where(
+            nodes.comm,
+            shared,
+            x,
+            lambda count, place: (
+                f"{count} nodes belong to a rigid body of the mesh and to a deformable one, the "
+                f"first at {place}: give each body nodes of its own "
+                "(fenics_tfeti.io.split_interfaces), and hold them together by a TiedPair whose "
+                "master is the rigid one"
+            ),
+        )
+        return RigidNodes(nodes, x, distinct, body)
+
+    def check_supports(self, prescribed: Prescribed) -> None:
+        """Check that no Dirichlet condition is for a node of a rigid body. Collective."""
+        if not self.bodies:
+            return
+        local = prescribed.nodes - self.nodes.first
+        local = np.unique(local[(local >= 0) & (local < self.nodes.owned)])
+        held = local[self.body[local] >= 0]
+        raise_where(
+            self.nodes.comm,
+            np.ones(held.size, dtype=bool),
+            self.x[held],
+            lambda count, place: (
+                f"Dirichlet conditions are for {count} nodes of rigid bodies, the first at "
+                f"{place}: prescribe translation and rotation of the RigidBody instead"
+            ),
+        )
+
+    def places_of(self, body: RigidBody) -> Vector:
+        """Return the undeformed places (k, gdim) of this rank's nodes of a body."""
+        if body not in self.bodies:
+            return self.x[:0]
+        places: Vector = self.x[self.body == list(self.bodies).index(body)]
+        return places
+
+    def numbers_at(self, nodes: Numbers) -> Numbers:
+        """Return the numbers of the bodies of nodes (k,), -1 of other nodes. Collective."""
+        numbers = np.full(nodes.size, -1)
+        in_mesh = nodes < self.nodes.total
+        numbers[in_mesh] = self.nodes.values_at(self.body, nodes[in_mesh])
+        return numbers
+
+    def master_of(self, rows: ContactRows, name: str) -> RigidBody | None:
+        """Return the rigid body that the master of rows belongs to, if any; check it. Collective.
+
+        The slave is never rigid.
+        """
+        if not self.bodies:
+            return None
+        number = self.numbers_at(rows.nodes)
+        place = np.arange(rows.nodes.size) - rows.offsets[rows.row]
+        assert rows.slaves is not None
+        is_slave = place < rows.slaves[rows.row]
+        found = np.zeros((2, len(self.bodies) + 1), dtype=bool)
+        found[is_slave.astype(int), number] = True
+        self.nodes.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
+        names = [self._name(k) for k in range(len(self.bodies))]
+        slaves, masters = ([*np.flatnonzero(row[:-1])] for row in found[::-1])
+        if slaves:
+            raise InputError(
+                f"{name}: the slave is on {names[slaves[0]]}; a deformable surface is expected. "
+                "Exchange slave and master; forces between two rigid bodies are not unique: leave "
+                "one of them deformable"
+            )
+        if len(masters) > 1 or (masters and found[0, -1]):
+            raise InputError(
+                f"{name}: the master is on {names[masters[0]]} and on another body: give the "
+                "surfaces of each body a tag, and a contact, of their own"
+            )
+        return self.bodies[masters[0]] if masters else None
+
+    def on_surface(self, nodes: Numbers) -> bool:
+        """Tell whether some of this rank's local nodes are on a rigid body. Collective."""
+        if not self.bodies:
+            return False
+        number = self.nodes.values_at(self.body, self.nodes.to_global(nodes))
+        return bool(self.nodes.comm.allreduce(bool((number >= 0).any()), MPI.LOR))
+
+    def _name(self, k: int) -> str:
+        return f"rigid body '{self.bodies[k].name or k}'"
+
+    def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
+        """Return rows in terms of the bodies' corners, with their prescribed motion. Collective.
+
+        The displacements of the rows are total ones.
+        """
+        if not self.bodies:
+            return rows
+        number = self.numbers_at(rows.nodes)
+        on = number >= 0
+        places, shift = self._state(bodies)
+        nodal = self.nodes.values_at(np.hstack([places, shift]), rows.nodes[on])
+        places, shift = np.split(nodal, 2, axis=1)
+        c, row = rows.coefficients[on], rows.row[on]
+        gap = rows.gap.copy()
+        np.subtract.at(gap, row, np.sum(c * shift, axis=1))
+        parts = [(rows.row[~on], rows.nodes[~on], rows.coefficients[~on])]
+        for k in range(len(self.bodies)):
+            mine = number[on] == k
+            parts.append(_at_corners(bodies.frames[k], row[mine], places[mine], c[mine]))
+        at, nodes, coefficients = (np.concatenate(column) for column in zip(*parts, strict=True))
+        order = np.argsort(at, kind="stable")
+        offsets = np.append(0, np.cumsum(np.bincount(at, minlength=rows.size)))
+        return replace(
+            rows, offsets=offsets, nodes=nodes[order], coefficients=coefficients[order], gap=gap
+        )
+
+    def relative_to_unknowns(
+        self, displacement: Vector, bodies: RigidBodies, from_here: bool
+    ) -> Vector:
+        """Return a displacement (n,) less what is not among the unknowns at rigid nodes.
+
+        Unknowns are total motions, or those from the places of the bodies.
+        """
+        if not self.bodies:
+            return displacement
+        shift = self._state(bodies)[1]
+        if from_here:
+            shift = np.zeros_like(self.x)
+            for k, place in enumerate(bodies.places[: len(self.bodies)]):
+                on = self.body == k
+                at = self._turned(k, place)
+                shift[on] = bodies.frames[k].displacements(bodies.ahead(k, True), at)
+        return displacement - shift.ravel()
+
+    def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
+        """Fill a displacement at the bodies' nodes, of small rotations or any; ghosts too."""
+        if not self.bodies:
+            return uh
+        values = self.nodes.values(uh)
+        for k, place in enumerate(bodies.places[: len(self.bodies)]):
+            on = np.flatnonzero(self.body == k)
+            translation = place.motion[: self.nodes.components]
+            values[on] = (
+                bodies.frames[k].displacements(place.motion, self.x[on])
+                if is_small
+                else self._turned(k, place) + translation - self.x[on]
+            )
+        uh.x.scatter_forward()
+        return uh
+
+    def resultants(self, force: Vector, bodies: RigidBodies) -> Vector:
+        """Return force and moment (bodies, modes) of nodal forces (owned, gdim). Collective.
+
+        Moments are about the reference points where the bodies are.
+        """
+        modes = self.bodies[0].modes if self.bodies else 0
+        sums = np.zeros((len(self.bodies), modes))
+        for k, place in enumerate(bodies.places[: len(self.bodies)]):
+            on, at = self.body == k, self._turned(k, place)
+            for mode, unit in enumerate(np.identity(modes)):
+                moved = bodies.frames[k].displacements(unit, at)
+                sums[k, mode] = np.sum(force[on] * moved)
+        self.nodes.comm.Allreduce(MPI.IN_PLACE, sums)
+        return sums
+
+    def _turned(self, k: int, place: BodyPlace) -> Vector:
+        """Return the places (k, gdim) of a body's nodes now, less its translation."""
+        point = self.bodies[k].point
+        return point + place.turn(self.x[self.body == k] - point)
+
+    def _state(self, bodies: RigidBodies) -> tuple[Vector, Vector]:
+        """Return where nodes are, less translations, and displacements that are no unknowns.
+
+        With small rotations about the present place, u = shift + motion of the free components
+        there.
+        """
+        places, shift = self.x.copy(), np.zeros_like(self.x)
+        for k, place in enumerate(bodies.places[: len(self.bodies)]):
+            on, frame = self.body == k, bodies.frames[k]
+            at = places[on] = self._turned(k, place)
+            now = at + place.motion[: self.nodes.components] - self.x[on]
+            given = frame.body.prescribed_motion
+            shift[on] = now + frame.displacements(given - place.motion, at)
+        return places, shift
+
+
+def _at_corners(
+    frame: BodyFrame, row: Numbers, places: Vector, coefficients: Vector
+) -> tuple[Numbers, Numbers, Vector]:
+    """Return terms at places (t, gdim) of a body as terms at its corners: row, node, coefficients.
+
+    Each row has one term for each corner.
+    """
+    rows, position = np.unique(row, return_inverse=True)
+    corners, gdim = frame.corners.shape
+    terms = np.zeros((rows.size, corners, gdim))
+    weights = frame.weights(places)
+    np.add.at(terms, position.ravel(), weights[:, :, None] * coefficients[:, None, :])
+    return np.repeat(rows, corners), np.tile(frame.nodes, rows.size), terms.reshape(-1, gdim)
