@@ -72,6 +72,16 @@ def test_cattaneo_mindlin(demo):
         assert abs(stick - c) <= size
 
 
+def test_shaft_and_key(demo):
+    """Statics of the shaft: all of the moment through the key, whose force the bore balances."""
+    key, bore = demo["by_key"], demo["by_bore"]
+    assert key[2] == pytest.approx(-demo["moment"], rel=1e-6)
+    assert abs(bore[2]) <= 1e-6 * demo["moment"]
+    assert key[:2] == pytest.approx(-bore[:2], rel=1e-6, abs=1.0)
+    # the arm is that of a place on the flank in the shaft
+    assert 6.5e-3 < demo["moment"] / np.hypot(*key[:2]) < 10e-3
+
+
 @pytest.mark.once
 def test_belt_on_drum(demo):
     """The formula of Euler and Eytelwein."""

@@ -33,7 +33,7 @@ logger = logging.getLogger(__name__)
 # numbers in the element matrices of the cells that are assembled at once: 8 MB stay in the cache
 _ENTRIES = 2**20
 # cells whose element vectors are added at once
-_CELLS = 2**16
+_CELLS = 2**13
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,10 @@ class PreparedForms:
         for batch in batches(chosen.size, _CELLS):
             vectors = self.linear.element_tensors(self.space, chosen[batch])
             unknowns = block * nodes[batch, :, None] + np.arange(block)
-            load += np.bincount(unknowns.ravel(), vectors.ravel(), load.size)
+            # cells are part by part: few parts at once
+            first = unknowns.min()
+            added = np.bincount((unknowns - first).ravel(), vectors.ravel())
+            load[first : first + added.size] += added
         return [load[block * i : block * j].copy() for i, j in pairwise(ends)]
 
     def cell_matrices(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
