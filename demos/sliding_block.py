@@ -132,7 +132,7 @@ for step, s in enumerate(steps):
             von_mises(mesh, sigma(uh), poisson_ratio=nu),
             label="von Mises stress",
             unit="kPa",
-            title=f"A block pushed over a bump, at {s + start:+.1f} m from its top",
+            title=f"A block pushed over a bump, at x = {round(s + start, 1) + 0.0:.1f} m",
             scale=1,
         )
 

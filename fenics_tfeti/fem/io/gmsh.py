@@ -183,12 +183,13 @@ def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, di
             f"{path} has no physical {kind} group; give each body one (addPhysicalGroup({dim}, "
             f"...) or 'Physical {kind.capitalize()}' in Gmsh) and save the mesh again"
         )
-    grouped = np.concatenate(
-        [tags for group in groups for tags in _elements(model, *group, path)[0]]
-    )
+    parts = [np.concatenate(_elements(model, *group, path)[0]) for group in groups]
+    grouped = np.concatenate(parts)
     every = np.concatenate(model.mesh.getElements(dim)[1])
-    if len(np.unique(grouped)) != len(grouped):
-        raise InputError(f"{path}: a cell is in several physical {kind} groups; it must be in one")
+    if names := _groups_in_common(model, groups, parts):
+        raise InputError(
+            f"{path}: a cell is in several physical {kind} groups, {names}; it must be in one"
+        )
     if len(grouped) != len(every):
         raise InputError(
             f"{path}: {len(every) - len(grouped)} of {len(every)} cells are in no physical {kind} "
@@ -198,16 +199,17 @@ def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, di
 
 def _check_facet_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> int:
     """Check that no facet is in two physical groups; return the number of facets in groups."""
-    nodes = [rows for group in groups for rows in _elements(model, *group, path)[1]]
+    nodes = [_elements(model, *group, path)[1] for group in groups]
     if not nodes:
         return 0
-    if len({rows.shape[1] for rows in nodes}) > 1:
+    if len({rows.shape[1] for entities in nodes for rows in entities}) > 1:
         raise InputError(f"{path}: the facets are of different types; use cells of one type")
-    facets = np.sort(np.concatenate(nodes), axis=1)
-    if len(np.unique(facets, axis=0)) != len(facets):
+    parts = [np.sort(np.concatenate(entities), axis=1) for entities in nodes]
+    facets = np.concatenate(parts)
+    if names := _groups_in_common(model, groups, parts):
         raise InputError(
-            f"{path}: a facet is in several physical {_ENTITY[dim]} groups, but can have only one "
-            "tag; split the groups so that they do not overlap"
+            f"{path}: a facet is in several physical {_ENTITY[dim]} groups, {names}, but can have "
+            "only one tag; split the groups so that they do not overlap"
         )
     in_cells = np.unique(model.mesh.getElements(dim + 1)[2][0])
     orphans = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
@@ -221,6 +223,18 @@ def _not_facets(path: Path, count: int, total: int, dim: int) -> InputError:
         f"{path}: {count} of the {total} elements in the physical {_ENTITY[dim]} groups are not "
         f"facets of cells; mesh the {_ENTITY[dim + 1]}s again"
     )
+
+
+def _groups_in_common(model: Any, groups: list[tuple[int, int]], parts: list[Any]) -> str:
+    """Name the groups of the first row that is in `parts` more than once, or return nothing."""
+    _, number, counts = np.unique(
+        np.concatenate(parts), axis=0, return_inverse=True, return_counts=True
+    )
+    if (counts == 1).all():
+        return ""
+    group = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    common = group[number.ravel() == counts.argmax()]
+    return " and ".join(f"'{model.getPhysicalName(*groups[i]) or groups[i][1]}'" for i in common)
 
 
 def _elements(model: Any, dim: int, group: int, path: Path) -> tuple[list[Any], list[Any]]:
