@@ -182,7 +182,7 @@ class SparseCholesky(SparseFactor):
     --------
     >>> import numpy as np, scipy.sparse as sp
     >>> factor = SparseCholesky(sp.csr_matrix(np.diag([1.0, 2.0])), choose_package("auto"))
-    >>> factor.solve(np.array([3.0, 4.0])).tolist()
+    >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist()
     [3.0, 2.0]
     """
 
@@ -424,7 +424,7 @@ class DistributedCholesky:
     --------
     >>> import numpy as np, scipy.sparse as sp
     >>> factor = DistributedCholesky(MPI.COMM_SELF, sp.csr_matrix(np.diag([1.0, 2.0])))
-    >>> factor.solve(np.array([3.0, 4.0])).tolist()
+    >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist()
     [3.0, 2.0]
     """
 
