@@ -20,7 +20,7 @@ try:
         import numpy as np
         from scipy.linalg.blas import dgemm
 
-        from fenics_tfeti.feti.local.cholesky import available_packages
+        from fenics_tfeti.feti.local.cholesky import available_packages, describe_package
         from fenics_tfeti.feti.report.report import versions
         from fenics_tfeti.parallel import print_on_first_rank
 except ImportError as error:
@@ -44,8 +44,8 @@ def facts(comm: MPI.Intracomm) -> dict[str, str]:
     names = {"petsc": "PETSc", "mpi": "MPI", "numpy": "NumPy", "scipy": "SciPy"}
     entries |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
     entries["BLAS"] = comm.bcast(blas())
-    packages = ", ".join(available_packages())
-    entries["sparse factors"] = packages or "none: install PETSc with CHOLMOD or MUMPS"
+    packages = "; ".join(map(describe_package, available_packages()))
+    entries["sparse factors"] = comm.bcast(packages) or "none: install PETSc with CHOLMOD or MUMPS"
     extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
     entries |= {name: extra(name, purpose) for name, purpose in extras.items()}
     entries["processes"] = str(comm.size)

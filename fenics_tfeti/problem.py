@@ -48,6 +48,7 @@ from fenics_tfeti.feti import (
     interruption,
 )
 from fenics_tfeti.feti.local.cholesky import check_real_numbers
+from fenics_tfeti.feti.local.memory import return_free_memory
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
@@ -152,6 +153,7 @@ class ContactProblem(SteppedProblem):
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
+        return_free_memory()
         self.options = contact_options(ContactOptions, options, options_prefix)
         self._timer = Timer()
         a, L = as_forms(a, L)
@@ -180,6 +182,7 @@ class ContactProblem(SteppedProblem):
             warn_of_locking(self._torn.torn.forms, self._torn.bodies)
         origin = SlipOrigin.at(Function(self.space))
         self.system = self._torn.system(origin)
+        return_free_memory()
         self._step = Step.at(origin)
         self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass

@@ -32,6 +32,7 @@ NEEDS = {
     1059: "passes without the residual of the recurrences",
     1078: "methods that take turns",
     1129: "springs of a tiny part of the stiffness, as supports",
+    1783: "no bounds of friction from forces that are rounding",
 }
 
 

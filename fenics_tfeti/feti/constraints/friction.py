@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
+from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -160,8 +161,14 @@ class FrictionRows:
         return at_sites
 
     def pressing(self, multipliers: Vector, layout: DualLayout) -> Vector:
-        """Return lambda_N >= 0 at the sites, (k,); 0 without a contact row. Collective."""
-        with_none = np.append(np.maximum(multipliers, 0.0), 0.0)
+        """Return lambda_N >= 0 at the sites, (k,); 0 without a contact row. Collective.
+
+        Forces that are rounding of the largest one count as none: bounds of an unloaded contact
+        made of them would be the scale of its certificate.
+        """
+        largest = layout.comm.allreduce(float(np.abs(multipliers).max(initial=0.0)), MPI.MAX)
+        forces = np.where(multipliers > rounding(largest, MANY), multipliers, 0.0)
+        with_none = np.append(forces, 0.0)
         return self.from_given(with_none[self.normal], layout)
 
     def numbers(self, layout: DualLayout) -> Vector:

@@ -58,7 +58,7 @@ class DualOperator:
             on_interface.append(
                 ExplicitInverse.build(inverse, orbits)
                 if dense
-                else _implicit(inverse, local, congruent.size)
+                else inverse.between(local) or _implicit(inverse, local, congruent.size)
             )
         return DualOperator(constraints, interface, inverses, on_interface, explicit)
 

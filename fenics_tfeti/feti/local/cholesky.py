@@ -19,8 +19,10 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
+from fenics_tfeti.feti.local.compiled import supernodal_library
+from fenics_tfeti.feti.local.supernodal import NotDefinite, SupernodalFactor
 from fenics_tfeti.feti.local.threads import one_thread
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Operator, Vector
 
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
 
@@ -82,6 +84,14 @@ def choose_package(package: Package, available: Sequence[str] | None = None) -> 
     )
 
 
+def describe_package(package: str) -> str:
+    """Return the name of a package, with what CHOLMOD's factors are applied by."""
+    if package != "cholmod":
+        return package
+    library, reason = supernodal_library()
+    return "cholmod, compiled solves" if library else f"cholmod, solves by PETSc: {reason}"
+
+
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
 # more work than any solve has: rslab's solves stay on the thread that calls them
@@ -139,6 +149,11 @@ class SparseFactor:
             x[:, block] = self._factor.solve_columns(np.asfortranarray(b[:, block]))
         return x
 
+    def between(self, unknowns: Numbers) -> Operator | None:
+        """Return the inverse between some unknowns, for rows (k, b), where it is compiled."""
+        factor = self._factor
+        return factor.between(unknowns) if isinstance(factor, SupernodalFactor) else None
+
     @property
     def entries(self) -> int:
         """Number of the factor's entries."""
@@ -158,10 +173,10 @@ class SparseFactor:
 class SparseCholesky(SparseFactor):
     """The factor of a sparse symmetric positive definite matrix.
 
-    The matrix has both triangles; `FactorizationError` if it is not positive definite. A `quick`
-    factor is for few solves: CHOLMOD takes PETSc's nested dissection and tries no other ordering.
-    That is half the time for a large coarse problem on a grid, and a factor up to two fifths
-    larger.
+    The matrix has both triangles; `FactorizationError` if it is not positive definite. Its unknowns
+    are those of nodes, `width` each. A `quick` factor is for few solves: CHOLMOD takes PETSc's
+    nested dissection and tries no other ordering. That is half the time for a large coarse problem
+    on a grid, and a factor up to two fifths larger.
 
     Examples
     --------
@@ -171,9 +186,11 @@ class SparseCholesky(SparseFactor):
     [3.0, 2.0]
     """
 
-    def __init__(self, matrix: sp.csr_matrix, package: str, quick: bool = False) -> None:
+    def __init__(
+        self, matrix: sp.csr_matrix, package: str, quick: bool = False, width: int = 1
+    ) -> None:
         try:
-            super().__init__(_factor(matrix, package, quick))
+            super().__init__(_factor(matrix, package, quick, width=width))
             if package != "cholmod" and self._factor.negative:
                 raise _Unusable(f"{self._factor.negative} negative pivots")
             # CHOLMOD's failures, which PETSc does not pass on
@@ -222,10 +239,19 @@ class SparseLDL(SparseFactor):
 
 
 def _factor(
-    matrix: sp.csr_matrix, package: str, quick: bool = False, definite: bool = True
+    matrix: sp.csr_matrix,
+    package: str,
+    quick: bool = False,
+    definite: bool = True,
+    width: int = 1,
 ) -> _Factor:
     if package == "rslab":
         return _RslabFactor(matrix)
+    if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
+        try:
+            return SupernodalFactor(library, matrix, width, _orderings(matrix.shape[0]))
+        except NotDefinite as error:
+            raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)
 
 
@@ -326,6 +352,11 @@ class _PetscFactor:
     @property
     def entries(self) -> int:
         return int(self._factor.getInfo()["nz_used"])
+
+
+def _orderings(size: int) -> int:
+    """Return CHOLMOD's number of orderings to choose from; 0 tries METIS if AMD's is bad."""
+    return int(PETSc.Options().getInt(_ORDERINGS, 3 if size >= _TRY_METIS else 0))
 
 
 @contextmanager

@@ -11,7 +11,7 @@ from fenics_tfeti.feti.local.cholesky import SparseCholesky, SparseFactor, Spars
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Operator, Vector
 
 
 def regularized_stiffness(
@@ -68,7 +68,7 @@ class GeneralizedInverse:
             nodes = fixing_nodes(subdomain.coordinates_in_frame, R, number, images)
             regularized = regularized_stiffness(K, R, unknowns_of_nodes(nodes, gdim))
             if subdomain.kernel == "rigid":
-                self._factor = SparseCholesky(regularized, package)
+                self._factor = SparseCholesky(regularized, package, width=gdim)
             else:
                 self._factor = indefinite = SparseLDL(regularized)
                 self.negative = indefinite.negative
@@ -85,6 +85,10 @@ class GeneralizedInverse:
     def solve(self, b: Vector) -> Vector:
         """Apply K_i^+ to a vector (n,) or to the columns of a matrix (n, k)."""
         return np.zeros_like(b) if self._factor is None else self._factor.solve(b)
+
+    def between(self, unknowns: Numbers) -> Operator | None:
+        """Return K_i^+ between some unknowns, for rows (k, b), where that is compiled."""
+        return None if self._factor is None else self._factor.between(unknowns)
 
     @property
     def entries(self) -> int:

@@ -22,9 +22,10 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes, describe_body_motion
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.files.arrays import write_whole
+from fenics_tfeti.feti.local.cholesky import describe_package
 from fenics_tfeti.feti.report.resultants import ContactForces, Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
-from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
+from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext, choose_factor
 from fenics_tfeti.feti.solution.states import (
     Candidate,
     ContactData,
@@ -61,6 +62,8 @@ class Report:
         Their number over all ranks.
     classes : int
         Classes of congruent subdomains, which share factors, summed over the ranks.
+    factor : str
+        Package of the sparse factors; of CHOLMOD with what they are applied by, on rank 0.
     dual_operator : dict
         How many of them have solves (``implicit``) or a dense matrix (``explicit``) for their part
         of F.
@@ -131,6 +134,7 @@ class Report:
     reused: list[str]
     subdomains: int
     classes: int
+    factor: str
     dual_operator: dict[str, int]
     preconditioner: str
     preconditioner_reason: str
@@ -266,6 +270,7 @@ def build_report(
         reused=reused,
         subdomains=subdomains,
         classes=classes,
+        factor=comm.bcast(describe_package(choose_factor(context.options))),
         dual_operator={"implicit": classes - explicit, "explicit": explicit},
         preconditioner=setup.choice.kind,
         preconditioner_reason=setup.choice.reason,

@@ -84,6 +84,7 @@ class _FixedPoint:
     balance: Callable[[SlipBound], Vector]  # the feasible start for given bounds
     iterate: Iterate | None  # start of the next step
     rtol: float  # tolerance of the next step
+    loosest: float = _FIRST_RTOL  # that may follow, after a first step with the full tolerance, too
     changes: list[float] = field(default_factory=list)  # errors of the steps so far
     residual: Vector | None = None  # (k,) change of the bounds that the last step asked for
     length: float = 1.0  # the part of it that was taken
@@ -160,7 +161,8 @@ class _FixedPoint:
             )
             return SolveStatus.STALLED, reason
         self.iterate = self._moved(step.outcome)
-        self.rtol = max(self.context.options.rtol, min(_FIRST_RTOL, _INEXACT * step.change))
+        self.loosest = min(self.loosest, _INEXACT * step.change)
+        self.rtol = max(self.context.options.rtol, self.loosest)
         return None
 
     def _aitken_length(self, residual: Vector) -> float:

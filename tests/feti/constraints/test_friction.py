@@ -167,6 +167,9 @@ def test_bounds_follow_the_normal_forces():
     assert pressing.tolist() == [0.0, 0.0, 4.0]
     assert SITES.bound.at(pressing).tolist() == [5.0, 2.0, 2.0]
     assert SITES.pressing(-multipliers, layout).tolist() == [0.0, 0.0, 0.0]
+    # of an unloaded contact, beside a large force
+    unloaded = np.append(1e-14, multipliers[1:])
+    assert SITES.pressing(unloaded, layout).tolist() == [0.0, 0.0, 0.0]
     assert SITES.normal_numbers(layout).tolist() == [-1, -1, 7]
     given = SITES.with_normals(SITES.normal, np.array([2.0, 1, 1]), np.full(3, 0.3), layout)
     assert given.bound.slope.tolist() == [0.0, 0.0, 0.6]

@@ -283,12 +283,13 @@ def deflated_by(system: TornSystem, vectors: LocalVectors, **options: Any) -> To
 
 
 def test_too_many_vectors_are_an_announced_choice():
+    """The fifth and the sixth are equal, by symmetry."""
     torn, found = solver(2)
-    with pytest.warns(UserWarning, match=f"{found.vectors.excess.size} .* 5 .*subdomain_size"):
-        some = at_most(torn.system.comm, found.vectors, 5)
-    assert sorted(some.excess) == sorted(found.vectors.excess)[-5:]
+    with pytest.warns(UserWarning, match=f"{found.vectors.excess.size} .* 4 .*subdomain_size"):
+        some = at_most(torn.system.comm, found.vectors, 4)
+    assert sorted(some.excess) == sorted(found.vectors.excess)[-4:]
     report = deflated_by(torn.system, some).solve().report
-    assert report.converged and report.deflation["vectors"] == 5
+    assert report.converged and report.deflation["vectors"] == 4
 
 
 def test_a_loose_body_with_fibres():

@@ -1,0 +1,79 @@
+"""Factors by CHOLMOD, packed for solves that are compiled for them (`supernodal.c`)."""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+
+import numpy as np
+import scipy.sparse as sp
+
+from fenics_tfeti.feti.local.threads import one_thread
+from fenics_tfeti.typing import Array, Indices, Numbers, Operator, Vector
+
+# right-hand sides that are solved for at once are at most as many
+_LANES = 8
+
+
+class NotDefinite(Exception):
+    """CHOLMOD has met a pivot that is not positive, or no memory."""
+
+
+def _pointer(array: Array) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)
+
+
+class SupernodalFactor:
+    """The Cholesky factor of a sparse symmetric positive definite matrix.
+
+    `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
+    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them.
+    `NotDefinite` if the matrix is not positive definite.
+    """
+
+    negative = 0
+
+    def __init__(
+        self, library: ctypes.CDLL, matrix: sp.csr_matrix, width: int = 1, methods: int = 0
+    ) -> None:
+        rows = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
+        size = rows.shape[0]
+        self._library = library
+        self._places: Indices = np.empty(size, dtype=np.int32)
+        arrays = [x.astype(np.int32, copy=False) for x in (rows.indptr, rows.indices)]
+        arrays.append(rows.data.astype(np.float64, copy=False))
+        figures = np.zeros(2, dtype=np.int64)
+        with one_thread():
+            address = library.supernodal_factor(
+                size, *map(_pointer, arrays), width, methods, _pointer(self._places),
+                _pointer(figures),
+            )  # fmt: skip
+        if not address:
+            raise NotDefinite("a pivot is not positive")
+        self._factor = ctypes.c_void_p(address)
+        self.entries, longest = map(int, figures)
+        self._room = size + longest
+        weakref.finalize(self, library.supernodal_free, self._factor).atexit = False
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,)."""
+        x: Vector = self._solved(self._places, np.ascontiguousarray(b, dtype=np.float64)[None])[0]
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        """Solve for the columns of a matrix (n, k) in Fortran order."""
+        return self._solved(self._places, np.ascontiguousarray(b.T, dtype=np.float64)).T
+
+    def between(self, unknowns: Numbers) -> Operator:
+        """Return the inverse between some unknowns, for the rows of a matrix (k, b)."""
+        places = self._places[unknowns]
+        return lambda rows: self._solved(places, np.ascontiguousarray(rows, dtype=np.float64))
+
+    def _solved(self, places: Indices, rows: Vector) -> Vector:
+        result = np.empty_like(rows)
+        work = np.empty(self._room * (1 if len(rows) == 1 else _LANES))
+        self._library.supernodal_solve(
+            self._factor, places.size, _pointer(places), len(rows), _pointer(rows),
+            _pointer(result), _pointer(work),
+        )  # fmt: skip
+        return result
