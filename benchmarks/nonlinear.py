@@ -1,11 +1,14 @@
 """Steps of Newton's method and products with F that finite strains take.
 
     python benchmarks/run.py nonlinear [--cases "block 2D" ironing]
+    mpirun -n 2 python benchmarks/run.py nonlinear --divisions 74 207
 
 Cases are those of tests/nonlinear: a block pressed in by a rigid ball by a third of its height, a
 beam bent over a cylinder, an ironed block with and without friction. A row has the Newton steps of
 each load step and, over all of them, the mean products and the largest number of negative
-directions.
+directions. With `--divisions` the block is ironed with so many cells over its height instead,
+pressed in one load step and dragged in another; processor seconds are those of the slowest rank,
+bytes those of all ranks together.
 """
 
 from __future__ import annotations
@@ -13,6 +16,8 @@ from __future__ import annotations
 import sys
 import time
 from pathlib import Path
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -45,21 +50,45 @@ CASES = {
 }
 
 
-def run(cases=tuple(CASES)):
-    """Solve each case in its load steps."""
+def run(cases=tuple(CASES), divisions=()):
+    """Solve each case in its load steps, or the ironed block of each size."""
+    if divisions:
+        for n in map(int, divisions):
+            yield from sized(n)
+        return
     for name in cases:
         make, loads = CASES[name]
         scene, each, start = make(), [], time.process_time()
         for load in loads:
             scene.solve([load])
             each.append(scene.problem.report.newton)
-        steps, unknowns = sum(each, []), scene.problem.report.unknowns
         yield {
-            "case": name,
-            "subdomains": scene.problem.report.subdomains,
-            "unknowns": unknowns["primal"],
-            "newton": " ".join(str(len(of_load)) for of_load in each),
-            "products": float(np.mean([step.products for step in steps])),
-            "negative": max(step.negative for step in steps),
+            **row(name, scene.problem.report, each),
             "cpu": time.process_time() - start,
         }
+
+
+def sized(n):
+    """Press the die down by 0.3 in one load step, and drag it by half its radius in another."""
+    scene, start = ironing(n=n), time.process_time()
+    for name, load in {"press": 1.0, "drag": 1.2}.items():
+        scene.solve([load])
+        report = scene.problem.report
+        yield {
+            **row(f"ironing, {name}", report, [report.newton]),
+            "cpu": MPI.COMM_WORLD.allreduce(time.process_time() - start, MPI.MAX),
+            "bytes": report.peak_memory_bytes,
+        }
+
+
+def row(name, report, each):
+    """Return what is counted of the Newton steps of each load step."""
+    steps = sum(each, [])
+    return {
+        "case": name,
+        "subdomains": report.subdomains,
+        "unknowns": report.unknowns["primal"],
+        "newton": " ".join(str(len(of_load)) for of_load in each),
+        "products": float(np.mean([step.products for step in steps])),
+        "negative": max(step.negative for step in steps),
+    }

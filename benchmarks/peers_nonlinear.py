@@ -1,4 +1,4 @@
-"""Finite strains on one mesh: load steps of fenics_tfeti and CalculiX.
+"""Finite strains on one mesh: load steps of fenics_tfeti, CalculiX and GetFEM.
 
     python benchmarks/run.py peers_nonlinear --divisions 6
 
@@ -7,17 +7,21 @@ dragged along it by its height, without friction. Both loads are divided into 1,
 steps, until a code converges in all of them to a drag of less than a tenth of the pressing force:
 without friction it is nearly zero, but long steps of CalculiX converge to other states. CalculiX
 has contact by a penalty of 100 E per metre, facet to facet, and finite strains (NLGEOM); its
-material, neo-Hookean with the volumetric energy k (J - 1)^2 / 2, is that of both. One thread each;
-seconds are processor seconds, without the compilation of forms. Needs the Debian package
-calculix-ccx.
+material, neo-Hookean with the volumetric energy k (J - 1)^2 / 2, is that of all. GetFEM has its
+large sliding brick, an augmented Lagrangian with the complete tangent. One thread each; seconds are
+processor seconds, without the compilation of forms. Needs the Debian packages calculix-ccx and
+python3-getfem.
 """
 
 from __future__ import annotations
 
+import importlib.util
+import json
 import os
 import resource
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -38,6 +42,7 @@ MODULI = {BLOCK: 1.0, DIE: 3.0}
 NU, PRESS, DRAG, PENALTY = 0.3, 0.3, 1.0, 100.0
 DRAGGED = 0.1  # largest drag, relative to the pressing force
 MOST = 64  # steps of each load
+LONGEST = 120  # processor seconds after which a run of GetFEM is ended
 # vertices of dolfinx in the order of C3D8
 _ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
 
@@ -64,11 +69,16 @@ class Bodies:
         self.cells = np.asarray(getattr(cells, "array", cells)).reshape(-1, 8)
         of_die = np.unique(self.cells[self.cell_tags.values == DIE])
         share = (1.8 - x[of_die, 2]) / 0.8
-        x[of_die, 2] += 1.2 * share * (x[of_die, 0] - 1.0) ** 2
+        x[of_die, 2] += share * (foot(x[of_die, 0]) - 1.0)
 
     def dofs(self, tag: int) -> Any:
         """Return the degrees of freedom of a tagged surface."""
         return fem.locate_dofs_topological(self.space, 2, self.facet_tags.find(tag))
+
+
+def foot(x: Any) -> Any:
+    """Return the height of the die's foot."""
+    return 1.0 + 1.2 * (x - 1.0) ** 2
 
 
 def lame(E: Any) -> tuple[Any, Any]:
@@ -121,6 +131,25 @@ def by_calculix(n: int, steps: int) -> dict[str, Any]:
     force = [float(value) for value in lines[total + 2].split()]
     newton = sum(line.startswith(" iteration ") for line in done.stdout.splitlines())
     return _row(force, newton, seconds)
+
+
+def by_getfem(n: int, steps: int) -> dict[str, Any]:
+    """Press and drag in equal steps; raise ContactError if one does not converge."""
+    script = Path(__file__).with_name("peers_large_sliding.py")
+    command = [sys.executable, str(script), str(n), str(steps)]
+    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=_limit)
+    if done.returncode < 0:
+        raise ContactError(f"GetFEM had not ended after {LONGEST} processor seconds")
+    if done.returncode:
+        raise ContactError(f"GetFEM: {(done.stderr or done.stdout).splitlines()[-1]}")
+    found = json.loads(done.stdout.splitlines()[-1])
+    # on the die in place of the force of its grip
+    return _row(-np.array(found["force"]), found["newton"], found["cpu"])
+
+
+def _limit() -> None:
+    """End this process after a time: where cells invert, a step of GetFEM may not end."""
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
 
 
 def _write(file: Any, bodies: Bodies, steps: int) -> None:
@@ -182,6 +211,8 @@ def run(divisions=(4,)):
     codes = {"tfeti": by_tfeti}
     if shutil.which("ccx"):
         codes["calculix-penalty"] = by_calculix
+    if importlib.util.find_spec("getfem"):
+        codes["getfem-large-sliding"] = by_getfem
     for n in divisions:
         reference = None
         for name, solve in codes.items():

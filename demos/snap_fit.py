@@ -15,11 +15,12 @@ This demo illustrates how to
 
 - move a support in load steps;
 - get the force of a support from the report;
-- measure what friction dissipates.
+- measure what friction dissipates;
+- make an animation of a run.
 
 Run it by `python demos/snap_fit.py`, or on several processes by `mpirun -n 2 python
-demos/snap_fit.py`; it draws pictures into `results/`. All units are SI, forces are per metre of
-depth.
+demos/snap_fit.py`; it draws pictures and an animation into `results/`. All units are SI, forces are
+per metre of depth.
 """
 
 from pathlib import Path
@@ -27,6 +28,9 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
+from matplotlib.animation import FuncAnimation
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
 
 import ufl
 from dolfinx import fem
@@ -100,8 +104,22 @@ stored = fem.form(energy)
 
 # ## Load steps
 #
-# They are no longer than the facets of the hook: slip is counted along a line in each step.
+# They are no longer than the facets of the hook: slip is counted along a line in each step. Every
+# second one is a frame of the animation.
 
+owned = mesh.topology.index_map(2).size_local
+corners = np.array([V.dofmap.cell_dofs(cell)[[0, 1, 3, 2]] for cell in range(owned)])
+
+
+def frame():
+    """Return the corners (m, 4, 2) [mm] and stresses (m,) [MPa] of the cells of all ranks."""
+    places = V.tabulate_dof_coordinates()[:, :2] + u.x.array.reshape(-1, 2)
+    stress = von_mises(mesh, neo_hookean_stress(E, nu)(u)).x.array[:owned]
+    ranks = comm.allgather((places[corners] / mm, 1e-6 * stress))
+    return [np.concatenate(part) for part in zip(*ranks, strict=True)]
+
+
+frames = [frame()]
 way, force, dissipated, newton = [0.0], [0.0], [0.0], []
 for s in 0.1 * mm * np.arange(1, 43):
     motion.x.array.reshape(-1, 2)[:, 0] = s
@@ -111,6 +129,8 @@ for s in 0.1 * mm * np.arange(1, 43):
     force.append(problem.report.reactions[0].force[0])
     dissipated.append(problem.results[0].friction_work)
     newton += problem.report.newton
+    if len(way) % 2:
+        frames.append(frame())
     if np.isclose(s, 1.5 * mm):
         draw_deformed(
             results / "snap_fit.png",
@@ -145,3 +165,34 @@ draw_profile(
     ylabel="force [N/m]",
     title="A clip is pushed over a bump, and clicks in",
 )
+
+# ## Animation
+#
+# The bodies, and below them the force up to each frame.
+
+if comm.rank == 0:
+    figure = Figure(figsize=(7, 4.2), dpi=100, layout="constrained")
+    above, below = figure.subplots(2, height_ratios=(1, 0.9))
+    x, most = np.concatenate([places for places, _ in frames]), max(s.max() for _, s in frames)
+    low, high = x.min(axis=(0, 1)) - 0.5, x.max(axis=(0, 1)) + 0.5
+    above.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
+    above.axis("off")
+    drawn = PolyCollection(frames[0][0], cmap="YlOrRd", edgecolor="#22262b40", linewidth=0.3)
+    drawn.set_clim(0.0, most)
+    above.add_collection(drawn)
+    figure.colorbar(drawn, ax=above, label="von Mises [MPa]")
+    below.set(xlim=(0, way[-1] / mm), ylim=(1.1 * H.min(), 1.1 * H.max()))
+    below.set(xlabel="way of the clip [mm]", ylabel="force [N/m]")
+    below.axhline(0.0, color="#d5d8dc")
+    (curve,) = below.plot([], [], "o-", markevery=[-1])
+
+    def show(number):
+        """Show one frame."""
+        places, stress = frames[number]
+        drawn.set_verts(places)
+        drawn.set_array(stress)
+        done = slice(0, 2 * number + 1)
+        curve.set_data(np.array(way[done]) / mm, H[done])
+
+    animation = FuncAnimation(figure, show, len(frames))
+    animation.save(results / "snap_fit.gif", writer="pillow", fps=8)

@@ -87,7 +87,8 @@ def page_of(name: str, source: str) -> str:
         f"{{download}}`{name}.ipynb <notebooks/{name}.ipynb>`",
         text.strip("\n"),
     ]
-    pictures = sorted((RUNS / name).glob("*.png"))
+    # an animation, then the pictures
+    pictures = [path for kind in ("gif", "png") for path in sorted((RUNS / name).glob(f"*.{kind}"))]
     parts += [f"![{title}: {picture.stem}](../runs/{name}/{picture.name})" for picture in pictures]
     for cell in cells:
         code = "```python\n" + cell.content.strip("\n") + "\n```"

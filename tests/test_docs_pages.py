@@ -77,7 +77,7 @@ def test_pages_show_text_code_output_and_pictures(demo):
         assert cell.content.strip("\n") in page
     run = ROOT / "docs" / "runs" / demo.stem
     assert (run / "output.txt").read_text().strip()
-    pictures = list(run.glob("*.png"))
+    pictures = [*run.glob("*.png"), *run.glob("*.gif")]
     assert pictures
     assert all(f"](../runs/{demo.stem}/{picture.name})" in page for picture in pictures)
 

@@ -1,12 +1,14 @@
 """Run the demos and the tutorial, and keep what the documentation shows of it: `make demo-runs`.
 
-What a script prints goes to docs/runs/<name>/output.txt and its pictures beside it, scaled down.
+What a script prints goes to docs/runs/<name>/output.txt, its pictures beside it, scaled down, and
+its animations as they are.
 With names as arguments only these are run: python tools/demo_runs.py tutorial cam
 """
 
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -36,6 +38,8 @@ def run(script: Path, kept: Path) -> None:
         (kept / "output.txt").write_text(done.stdout)
         for picture in sorted(Path(folder).glob("results/*.png")):
             shrink(picture, kept / picture.name)
+        for animation in sorted(Path(folder).glob("results/*.gif")):
+            shutil.copy(animation, kept)
 
 
 def shrink(picture: Path, kept: Path) -> None:
