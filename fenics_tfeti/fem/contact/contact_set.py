@@ -147,8 +147,7 @@ class FoundTie:
 
     number: int  # among all contacts and tied pairs
     tie: Tie
-    pairing: TiedPairing  # of the undeformed or of the deformed surfaces
-    undeformed: TiedPairing
+    pairing: TiedPairing
     rigid_master: RigidBody | None = None  # as of a contact
 
 
@@ -309,9 +308,7 @@ class ContactSet:
             contacts.append(
                 after if k is None else self._on_body(after, bodies, k, uh, new.distance)
             )
-        nodes = self.boundary.nodes
-        ties = [replace(tie, pairing=tie.undeformed.turned(nodes, uh)) for tie in self.ties]
-        return replace(self, contacts=contacts, ties=ties, bodies=bodies), measured
+        return replace(self, contacts=contacts, bodies=bodies), measured
 
     def _on_body(
         self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
@@ -606,8 +603,7 @@ class ContactSearch:
         self, number: int, tie: Tie, last: ContactSet, prescribed: Prescribed
     ) -> FoundTie:
         pairing = self._tied(tie, number, last, prescribed)
-        master = self.rigid.master_of(pairing.rows, pairing.name)
-        return FoundTie(number, tie, pairing, pairing, master)
+        return FoundTie(number, tie, pairing, self.rigid.master_of(pairing.rows, pairing.name))
 
     def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""

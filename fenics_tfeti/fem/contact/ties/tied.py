@@ -5,11 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
-
-from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.contact import Conditions
@@ -25,7 +21,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
     tagged_surface,
 )
 from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -45,13 +40,6 @@ class Preload:
         """Return the body with a number and the present load."""
         assert self.body is not None
         return replace(self.body, body=number, load=self.force * self.axis)
-
-    def turned(self, Q: Vector) -> Preload:
-        """Return it with the axis after a rotation."""
-        axis, body = Q @ self.axis, self.body
-        if body is not None:
-            body = replace(body, kernel=axis[:, None])
-        return replace(self, axis=axis, body=body)
 
 
 @dataclass(frozen=True)
@@ -77,38 +65,11 @@ class TiedPairing:
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
 
-    def turned(self, nodes: NodeMap, uh: Function) -> TiedPairing:
-        """Return the rows of a bolt after the rotation of its cut by a displacement. Collective.
-
-        Other rows are linear in the displacement and hold as they are.
-        """
-        if self.preload is None:
-            return self
-        undeformed = self.coordinates[:, : nodes.components]
-        u = nodes.values(uh)[self.nodes - nodes.first]
-        Q = _mean_rotation(nodes.comm, undeformed, undeformed + u)
-        rows = replace(self.rows, coefficients=self.rows.coefficients @ Q.T)
-        return replace(self, rows=rows, preload=self.preload.turned(Q))
-
     def still_holds(self, prescribed: Prescribed) -> bool:
         """Tell whether mortar conditions hold that were found with other supports. Collective."""
         if self.surface is None or self.prescribed is None:
             return False
         return still_holds(self.surface, prescribed, self.prescribed)
-
-
-def _mean_rotation(comm: MPI.Intracomm, before: Vector, after: Vector) -> Vector:
-    """Return the rotation Q with the least squares of Q x - x' + c of points (k, gdim). Collective.
-
-    That is Kabsch's; the points of all ranks may be in a plane.
-    """
-    gdim = before.shape[1]
-    sums = comm.allreduce(np.array([*before.sum(axis=0), *after.sum(axis=0), len(before)]))
-    a, b = before - sums[:gdim] / sums[-1], after - sums[gdim:-1] / sums[-1]
-    U, _, V = np.linalg.svd(comm.allreduce(b.T @ a))
-    U[:, -1] *= np.sign(np.linalg.det(U @ V))
-    rotation: Vector = U @ V
-    return rotation
 
 
 def tie_surfaces(
