@@ -166,8 +166,9 @@ class FrictionRows:
         Forces that are rounding of the largest one count as none: bounds of an unloaded contact
         made of them would be the scale of its certificate.
         """
-        largest = layout.comm.allreduce(float(np.abs(multipliers).max(initial=0.0)), MPI.MAX)
-        forces = np.where(multipliers > rounding(largest, MANY), multipliers, 0.0)
+        largest = np.array([np.abs(multipliers).max(initial=0.0)])
+        layout.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        forces = np.where(multipliers > rounding(float(largest[0]), MANY), multipliers, 0.0)
         with_none = np.append(forces, 0.0)
         return self.from_given(with_none[self.normal], layout)
 

@@ -90,7 +90,9 @@ class Constraints:
     @cached_property
     def has_friction(self) -> bool:
         """Tell whether any rank has tangential rows. Collective."""
-        return bool(self.layout.comm.allreduce(self.friction.size > 0, MPI.LOR))
+        some = np.array([self.friction.size > 0])
+        self.layout.comm.Allreduce(MPI.IN_PLACE, some, MPI.LOR)
+        return bool(some[0])
 
     @cached_property
     def row_lengths(self) -> Vector:
