@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Iterable, Iterator
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 _DIGITS = 6
-_PACKAGE = str(Path(__file__).parent)
+_PACKAGE = f"{Path(__file__).parent}{os.sep}"
 
 # what comes with FEniCSx, in the order in which it is imported
 _FENICSX = ("mpi4py", "petsc4py", "numpy", "scipy", "basix", "ffcx", "ufl", "dolfinx")
@@ -90,10 +91,10 @@ class Interrupted(KeyboardInterrupt):
 
 def warn_user(message: str) -> None:
     """Warn with the place of the user's line that has called the package."""
-    level = 1
-    while sys._getframe(level).f_code.co_filename.startswith(_PACKAGE):
-        level += 1
-    warnings.warn(message, stacklevel=level + 1)
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, stacklevel=level)
 
 
 def format_point(point: Iterable[float], size: float = 0.0) -> str:

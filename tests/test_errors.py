@@ -6,6 +6,7 @@ It is the same on all ranks: none is left waiting.
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 from mpi4py import MPI
 
@@ -148,3 +149,12 @@ def test_warnings_have_the_place_of_the_users_line():
             | {"blurred": 1.0, "mean_gap": -0.1, "deviation": 0.2}
         )
     assert caught[0].filename == __file__
+
+
+def test_warning_is_at_the_line_of_a_script_beside_the_package():
+    """Whose path begins with that of the package, and which nothing else has called."""
+    script = f"{Path(fenics_tfeti.__file__).parent}_first.py"
+    code = compile("from fenics_tfeti.errors import warn_user\n\nwarn_user('look')", script, "exec")
+    with pytest.warns(UserWarning, match="look") as caught:
+        exec(code, {})
+    assert (caught[0].filename, caught[0].lineno) == (script, 3)
