@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
@@ -18,7 +19,7 @@ from fenics_tfeti.fem.torn_problem import TornProblem
 _SHORTEST = 1e-3
 
 
-class SteppedProblem:
+class SteppedProblem(ABC):
     """A contact problem that is solved in load steps."""
 
     u: Any
@@ -30,9 +31,9 @@ class SteppedProblem:
     _is_solved = _is_restored = False
     _solved: SolvedContacts | None = None
 
+    @abstractmethod
     def solve(self) -> Any:
         """Solve at the present loads."""
-        raise NotImplementedError
 
     def advance(self) -> None:
         """Accept the last solve as a load step: friction counts slip from its end.
