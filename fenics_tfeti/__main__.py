@@ -20,7 +20,7 @@ try:
         import numpy as np
         from scipy.linalg.blas import dgemm
 
-        from fenics_tfeti.feti.local.cholesky import available_packages, describe_package
+        from fenics_tfeti.feti.factors.cholesky import available_packages, describe_package
         from fenics_tfeti.feti.report.report import versions
         from fenics_tfeti.parallel import print_on_first_rank
 except ImportError as error:

@@ -47,9 +47,9 @@ from fenics_tfeti.feti import (
     TornSolver,
     interruption,
 )
-from fenics_tfeti.feti.local.cholesky import check_real_numbers
-from fenics_tfeti.feti.local.memory import return_free_memory
+from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
+from fenics_tfeti.memory import return_free_memory
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport

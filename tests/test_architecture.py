@@ -28,6 +28,7 @@ LAYERS = {
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = [
+    "factors",
     "local",
     "constraints",
     "checks",

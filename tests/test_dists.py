@@ -27,7 +27,7 @@ def test_wheel(dists):
     with zipfile.ZipFile(dists[0]) as wheel:
         names = {name for name in wheel.namelist() if ".dist-info/" not in name}
     assert names == {name for name in project_files() if name.startswith("fenics_tfeti/")}
-    assert {"fenics_tfeti/fem/io/page.css", "fenics_tfeti/feti/local/supernodal.c"} <= names
+    assert {"fenics_tfeti/fem/io/page.css", "fenics_tfeti/feti/factors/supernodal.c"} <= names
 
 
 def test_sdist(dists):

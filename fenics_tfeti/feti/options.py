@@ -13,7 +13,7 @@ from fenics_tfeti.feti.constraints.scaling import Scaling
 from fenics_tfeti.feti.deflation.space import DeflationKind
 from fenics_tfeti.feti.dual.operator import DualOperatorKind
 from fenics_tfeti.feti.dual.preconditioner import PreconditionerKind
-from fenics_tfeti.feti.local.cholesky import Package
+from fenics_tfeti.feti.factors.cholesky import Package
 from fenics_tfeti.qp.proportioning import Expansion
 
 T = TypeVar("T")

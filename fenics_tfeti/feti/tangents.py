@@ -25,7 +25,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
 from fenics_tfeti.feti.coarse.resistance import weak_motions
-from fenics_tfeti.feti.local.cholesky import SparseLDL
+from fenics_tfeti.feti.factors.cholesky import SparseLDL
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes

@@ -19,7 +19,7 @@ from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.local import cholesky
+from fenics_tfeti.feti.factors import cholesky
 from fenics_tfeti.report import ContactReport
 
 comm = MPI.COMM_WORLD

@@ -10,8 +10,8 @@ from mpi4py import MPI
 
 import pytest
 
-from fenics_tfeti.feti.local.cholesky import available_packages
-from fenics_tfeti.feti.local.compiled import supernodal_library
+from fenics_tfeti.feti.factors.cholesky import available_packages
+from fenics_tfeti.feti.factors.compiled import supernodal_library
 
 COMM = MPI.COMM_WORLD
 

@@ -7,7 +7,7 @@ import json
 import pytest
 from new_process import run_python
 
-from fenics_tfeti.feti.local.cholesky import available_packages
+from fenics_tfeti.feti.factors.cholesky import available_packages
 
 pytestmark = pytest.mark.once
 

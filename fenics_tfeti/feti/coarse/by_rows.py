@@ -13,7 +13,7 @@ from petsc4py import PETSc
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.local.cholesky import DistributedCholesky
+from fenics_tfeti.feti.factors.cholesky import DistributedCholesky
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
-from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 from fenics_tfeti.parallel import all_to_all, concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 

@@ -26,7 +26,7 @@ from fenics_tfeti.feti.coarse.factor import (
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.local.cholesky import available_packages
+from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import WEAK, ZERO

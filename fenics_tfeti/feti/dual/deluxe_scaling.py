@@ -25,7 +25,7 @@ from fenics_tfeti.feti.constraints.coupling import GramInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Operator, Vector
 

@@ -23,7 +23,7 @@ from fenics_tfeti.feti.constraints.coupling import GramInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements

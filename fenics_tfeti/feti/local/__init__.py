@@ -1,1 +1,1 @@
-"""Operators of one subdomain: rigid body modes, fixing nodes, generalized inverse, factors."""
+"""Operators of one subdomain: rigid body modes, fixing nodes, generalized inverse."""

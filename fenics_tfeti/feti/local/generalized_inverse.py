@@ -7,7 +7,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
-from fenics_tfeti.feti.local.cholesky import SparseCholesky, SparseFactor, SparseLDL
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky, SparseFactor, SparseLDL
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain

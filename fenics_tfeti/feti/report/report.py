@@ -21,8 +21,8 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes, describe_body_motion
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
+from fenics_tfeti.feti.factors.cholesky import describe_package
 from fenics_tfeti.feti.files.arrays import write_whole
-from fenics_tfeti.feti.local.cholesky import describe_package
 from fenics_tfeti.feti.report.resultants import ContactForces, Resultant, resultants
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext, choose_factor

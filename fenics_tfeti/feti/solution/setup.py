@@ -41,7 +41,7 @@ from fenics_tfeti.feti.dual.preconditioner import (
     lumped_excess,
 )
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.local.cholesky import choose_package
+from fenics_tfeti.feti.factors.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse

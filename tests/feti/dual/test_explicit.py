@@ -9,7 +9,7 @@ from torn import cube
 
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.dual.explicit import ExplicitInverse, Orbits
-from fenics_tfeti.feti.local.cholesky import available_packages
+from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.local.symmetry import find_symmetries

@@ -6,7 +6,7 @@ from torn import cube
 
 from fenics_tfeti import FactorizationError
 from fenics_tfeti.feti import Subdomain
-from fenics_tfeti.feti.local.cholesky import available_packages
+from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.fixing_nodes import fixing_nodes
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse, regularized_stiffness
 from fenics_tfeti.feti.local.rigid_body_modes import kernel

@@ -9,13 +9,13 @@ from petsc4py import PETSc
 import pytest
 from new_process import run_python
 
-from fenics_tfeti.feti.local.cholesky import available_packages
-from fenics_tfeti.feti.local.threads import one_thread, openmp
+from fenics_tfeti.feti.factors.cholesky import available_packages
+from fenics_tfeti.feti.factors.threads import one_thread, openmp
 
 FACTOR = """
 import os
 import numpy as np, scipy.sparse as sp
-from fenics_tfeti.feti.local.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 def number():
     return len(os.listdir("/proc/self/task"))
 n = 12  # a cube of nodes: large enough for supernodes

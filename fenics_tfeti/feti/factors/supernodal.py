@@ -8,7 +8,7 @@ import weakref
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.local.threads import one_thread
+from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Array, Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.local import compiled
-from fenics_tfeti.feti.local.cholesky import (
+from fenics_tfeti.feti.factors import compiled
+from fenics_tfeti.feti.factors.cholesky import (
     SparseCholesky,
     available_packages,
     describe_package,
 )
-from fenics_tfeti.feti.local.compiled import supernodal_library
+from fenics_tfeti.feti.factors.compiled import supernodal_library
 
 pytestmark = [
     pytest.mark.once,
@@ -25,7 +25,7 @@ pytestmark = [
 
 
 COMPILE = (
-    "from fenics_tfeti.feti.local.compiled import supernodal_library\n"
+    "from fenics_tfeti.feti.factors.compiled import supernodal_library\n"
     "library, reason = supernodal_library()\nassert library, reason"
 )
 

@@ -19,9 +19,9 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
-from fenics_tfeti.feti.local.compiled import supernodal_library
-from fenics_tfeti.feti.local.supernodal import NotDefinite, SupernodalFactor
-from fenics_tfeti.feti.local.threads import one_thread
+from fenics_tfeti.feti.factors.compiled import supernodal_library
+from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
@@ -249,7 +249,8 @@ def _factor(
         return _RslabFactor(matrix)
     if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
         try:
-            return SupernodalFactor(library, matrix, width, _orderings(matrix.shape[0]))
+            methods = PETSc.Options().getInt(_ORDERINGS, _orderings(matrix.shape[0]))
+            return SupernodalFactor(library, matrix, width, methods)
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)
@@ -354,20 +355,20 @@ class _PetscFactor:
         return int(self._factor.getInfo()["nz_used"])
 
 
-def _orderings(size: int) -> int:
+def _orderings(size: int, quick: bool = False) -> int:
     """Return CHOLMOD's number of orderings to choose from; 0 tries METIS if AMD's is bad."""
-    return int(PETSc.Options().getInt(_ORDERINGS, 3 if size >= _TRY_METIS else 0))
+    if size < _TRY_METIS:
+        return 0
+    return 1 if quick else 3
 
 
 @contextmanager
 def _cholmod_options(pc: PETSc.PC, size: int, quick: bool) -> Iterator[None]:
     """Choose what CHOLMOD prints and how it orders large matrices, unless the user has."""
     options = PETSc.Options()
-    chosen = {_PRINT: 0}
-    if size >= _TRY_METIS:
-        chosen[_ORDERINGS] = 1 if quick else 3
+    chosen = {_PRINT: 0, _ORDERINGS: _orderings(size, quick)}
     chosen = {name: value for name, value in chosen.items() if not options.hasName(name)}
-    if quick and _ORDERINGS in chosen:
+    if quick and chosen.get(_ORDERINGS):
         pc.setFactorOrdering("nd")
     for name, value in chosen.items():
         options[name] = value

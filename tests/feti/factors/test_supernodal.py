@@ -7,9 +7,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from fenics_tfeti.feti.local.cholesky import available_packages
-from fenics_tfeti.feti.local.compiled import supernodal_library
-from fenics_tfeti.feti.local.supernodal import NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.cholesky import available_packages
+from fenics_tfeti.feti.factors.compiled import supernodal_library
+from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor
 
 pytestmark = pytest.mark.skipif(
     "cholmod" not in available_packages() or supernodal_library()[0] is None,

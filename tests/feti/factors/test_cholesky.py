@@ -13,8 +13,8 @@ import pytest
 import scipy.sparse as sp
 
 from fenics_tfeti import FactorizationError, InputError
-from fenics_tfeti.feti.local import cholesky
-from fenics_tfeti.feti.local.cholesky import (
+from fenics_tfeti.feti.factors import cholesky
+from fenics_tfeti.feti.factors.cholesky import (
     DistributedCholesky,
     SparseCholesky,
     SparseLDL,

@@ -1,0 +1,1 @@
+"""Sparse Cholesky and LDL' factors, by packages and by solves that are compiled."""
