@@ -31,11 +31,9 @@ from fenics_tfeti.fem.contact.description import (
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.obstacles.rigid_body import (
     BodyFrame,
-    BodyPlace,
     RigidBodies,
     RigidBody,
     RigidBodyResult,
-    find_frames,
 )
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.result import (
@@ -132,17 +130,13 @@ class FoundContact:
         gap = self.pairing.gap
         return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
 
-    def measured(self, uh: Function, place: BodyPlace | None) -> DeformedContact:
-        """Measure normals, gaps and penetration in the deformed state. Collective.
-
-        The place is that of the contact's body, if it has one.
-        """
+    def measured(self, uh: Function, bodies: RigidBodies) -> DeformedContact:
+        """Measure normals, gaps and penetration in the deformed state. Collective."""
         contact = self.contact
-        if place is None:
-            return deformed_contact(contact, self.pairing, uh)
-        assert isinstance(contact, RigidObstacle) and contact.body is not None
-        moved = replace(contact, obstacle=place.obstacle(contact.body, contact.obstacle))
-        return deformed_contact(moved, self.pairing, uh)
+        if isinstance(contact, RigidObstacle) and contact.body is not None:
+            frame = bodies.frame_of(contact.body)
+            contact = replace(contact, obstacle=frame.obstacle(contact.obstacle))
+        return deformed_contact(contact, self.pairing, uh)
 
     def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
         """Return the contact with friction evaluated at its conditions. Collective."""
@@ -193,9 +187,9 @@ class ContactSet:
         """Return the conditions of all contacts, one contact after the other. Collective."""
         parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
         for found in self.contacts:
-            rows, k = found.pairing.rows(found.number), self.bodies.number(found.body)
-            if k is not None and found.on_body is not None:
-                rows = self.bodies.frames[k].joined(rows, found.on_body.places)
+            rows = found.pairing.rows(found.number)
+            if found.on_body is not None:
+                rows = self.bodies.frame_of(found.body).joined(rows, found.on_body.places)
             parts.append(rows)
         return self.rigid.joined(ContactRows.concatenate(parts), self.bodies)
 
@@ -231,15 +225,13 @@ class ContactSet:
         It is what is not among the unknowns, with all but the present rotation of the slip: the
         slave's nodes have slid from one place of the body to another.
         """
-        number, nodes, pairing = self.bodies.number(found.body), self.boundary.nodes, found.pairing
-        assert number is not None
-        frame, place = self.bodies.frames[number], self.bodies.places[number]
+        frame, nodes, pairing = self.bodies.frame_of(found.body), self.boundary.nodes, found.pairing
         u = origin.displacement.reshape(-1, nodes.components)
         start = pairing.relative(nodes, nodes.coordinates + u)
         earlier = origin.obstacles.at(k, self.dofs(pairing.slave))
-        now = place.undeformed_places(frame.body, on.slave)
-        slid = place.turn(now - (start - earlier))
-        ahead = frame.displacements(self.bodies.ahead(number, self.from_here), on.places)
+        now = frame.undeformed_places(on.slave)
+        slid = frame.turn(now - (start - earlier))
+        ahead = frame.displacements(frame.ahead(self.from_here), on.places)
         moved: Vector = earlier + on.slave - start + ahead - slid
         return moved
 
@@ -310,23 +302,22 @@ class ContactSet:
         """
         bodies, measured, contacts = bodies or self.bodies, [], []
         for found in self.contacts:
-            k = bodies.number(found.body)
-            new = found.measured(uh, None if k is None else bodies.places[k])
+            new = found.measured(uh, bodies)
             measured.append(new)
-            after = replace(found, pairing=new.pairing)
-            contacts.append(
-                after if k is None else self._on_body(after, bodies, k, uh, new.distance)
-            )
+            found = replace(found, pairing=new.pairing)
+            if found.body is not None:
+                found = self._on_body(found, bodies.frame_of(found.body), uh, new.distance)
+            contacts.append(found)
         return replace(self, contacts=contacts, bodies=bodies), measured
 
     def _on_body(
-        self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
+        self, found: FoundContact, frame: BodyFrame, uh: Function, distance: Vector
     ) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
-        nodes, pairing, motion = self.boundary.nodes, found.pairing, bodies.places[k].motion
+        nodes, pairing, motion = self.boundary.nodes, found.pairing, frame.motion
         x = pairing.relative(nodes, nodes.coordinates + nodes.values(uh)[: nodes.owned])
         places = x + _along(pairing.normal, distance) - motion[: nodes.components]
-        moved = np.sum(pairing.normal * bodies.frames[k].displacements(motion, places), axis=1)
+        moved = np.sum(pairing.normal * frame.displacements(motion, places), axis=1)
         pairing = replace(pairing, gap=pairing.gap - moved)
         return replace(found, pairing=pairing, on_body=OnBody(places, x))
 
@@ -342,7 +333,7 @@ class ContactSet:
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
-        bodies = replace(other.bodies, frames=self.bodies.frames)
+        bodies = self.bodies.placed_as(other.bodies)
         return replace(self, contacts=contacts, bodies=bodies).with_friction()
 
     def bodies_after(self, solution: TornSolution) -> RigidBodies:
@@ -362,9 +353,9 @@ class ContactSet:
         shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
         for found, gap_after in zip(self.contacts, opening, strict=True):
-            k = bodies.number(found.body)
-            if k is not None and found.on_body is not None:
-                moved = bodies.frames[k].displacements(bodies.motions[k], found.on_body.places)
+            if found.on_body is not None:
+                frame = bodies.frame_of(found.body)
+                moved = frame.displacements(frame.motion, found.on_body.places)
                 gap_after += np.sum(found.pairing.normal * moved, axis=1)
             rows = slice(row, row + found.pairing.slave.size)
             sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
@@ -377,15 +368,10 @@ class ContactSet:
             forces = solution.report.contacts[tie.number]
             values = solution.tied_force[rows]
             ties.append(self._tied_result(tie, forces, values, shortenings))
-        results = [
-            self._body_result(frame, place, solution)
-            for frame, place in zip(bodies.frames, bodies.places, strict=True)
-        ]
+        results = [self._body_result(frame, solution) for frame in bodies.frames]
         return SolvedContacts(self, contacts, ties, uh, bodies, results)
 
-    def _body_result(
-        self, frame: BodyFrame, place: BodyPlace, solution: TornSolution
-    ) -> RigidBodyResult:
+    def _body_result(self, frame: BodyFrame, solution: TornSolution) -> RigidBodyResult:
         force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
         entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
         for found in entries:
@@ -394,7 +380,7 @@ class ContactSet:
                 entry = solution.report.contacts[found.number]
                 force += entry.force_on_master
                 moment += entry.moment_on_master
-        return RigidBodyResult.of(frame, place, force, moment)
+        return RigidBodyResult.of(frame, force, moment)
 
     def _result(
         self,
@@ -491,13 +477,14 @@ class SolvedContacts:
         conditions, parts = self.conditions, []
         gdim = conditions.boundary.nodes.components
         for found in conditions.contacts:
-            k, on, moved = self.bodies.number(found.body), found.on_body, np.zeros((0, gdim))
+            on, moved = found.on_body, np.zeros((0, gdim))
             if found.friction is not None:
                 moved = found.friction.obstacle_displacement
-                if k is not None and on is not None:
-                    frame, before = self.bodies.frames[k], conditions.bodies.places[k]
-                    step = frame.displacements(self.bodies.motions[k] - before.motion, on.places)
-                    moved = on.slave - before.undeformed_places(frame.body, on.slave) + step
+                if on is not None:
+                    before = conditions.bodies.frame_of(found.body)
+                    motion = self.bodies.frame_of(found.body).motion - before.motion
+                    step = before.displacements(motion, on.places)
+                    moved = on.slave - before.undeformed_places(on.slave) + step
             parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
         return SlaveValues.of(parts, gdim)
 
@@ -656,9 +643,18 @@ class ContactSearch:
             comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
             return np.array([box[0], -box[1]])
 
-        first = self.boundary.nodes.total + bolts, self._bodies.deformable
-        frames = find_frames(bodies, box_of, first, known.frames)
-        return RigidBodies(comm, gdim, frames, [BodyPlace.undeformed(body) for body in bodies])
+        frames = [
+            BodyFrame.undeformed(
+                body,
+                body.name or f"rigid body {k}",
+                box_of(body),
+                self.boundary.nodes.total + bolts + k * (gdim + 1),
+                self._bodies.deformable + k,
+                known.frames[k] if k < len(known.frames) else None,
+            )
+            for k, body in enumerate(bodies)
+        ]
+        return RigidBodies(comm, gdim, frames)
 
     def with_roles(
         self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]

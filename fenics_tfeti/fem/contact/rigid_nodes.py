@@ -17,12 +17,7 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.obstacles.rigid_body import (
-    BodyFrame,
-    BodyPlace,
-    RigidBodies,
-    RigidBody,
-)
+from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.nodes import NodeMap
@@ -158,19 +153,21 @@ class RigidNodes:
         places, shift = self._state(bodies)
         nodal = self.nodes.values_at(np.hstack([places, shift]), rows.nodes[on])
         places, shift = np.split(nodal, 2, axis=1)
-        c, row = rows.coefficients[on], rows.row[on]
+        c, row = rows.coefficients[on], rows.row
         gap = rows.gap.copy()
-        np.subtract.at(gap, row, np.sum(c * shift, axis=1))
-        parts = [(rows.row[~on], rows.nodes[~on], rows.coefficients[~on])]
-        for k in range(len(self.bodies)):
-            mine = number[on] == k
-            parts.append(_at_corners(bodies.frames[k], row[mine], places[mine], c[mine]))
-        at, nodes, coefficients = (np.concatenate(column) for column in zip(*parts, strict=True))
-        order = np.argsort(at, kind="stable")
-        offsets = np.append(0, np.cumsum(np.bincount(at, minlength=rows.size)))
-        return replace(
-            rows, offsets=offsets, nodes=nodes[order], coefficients=coefficients[order], gap=gap
+        np.subtract.at(gap, row[on], np.sum(c * shift, axis=1))
+        offsets = np.append(0, np.cumsum(np.bincount(row[~on], minlength=rows.size)))
+        joined = replace(
+            rows,
+            offsets=offsets,
+            nodes=rows.nodes[~on],
+            coefficients=rows.coefficients[~on],
+            gap=gap,
         )
+        for k, frame in enumerate(bodies.frames[: len(self.bodies)]):
+            of_body = number[on] == k
+            joined = joined.with_terms(*frame.terms(row[on][of_body], places[of_body], c[of_body]))
+        return joined
 
     def relative_to_unknowns(
         self, displacement: Vector, bodies: RigidBodies, from_here: bool
@@ -184,10 +181,9 @@ class RigidNodes:
         shift = self._state(bodies)[1]
         if from_here:
             shift = np.zeros_like(self.x)
-            for k, place in enumerate(bodies.places[: len(self.bodies)]):
-                on = self.body == k
-                at = self._turned(k, place)
-                shift[on] = bodies.frames[k].displacements(bodies.ahead(k, True), at)
+            for frame, on in self._frames(bodies):
+                at = frame.turned_places(self.x[on])
+                shift[on] = frame.displacements(frame.ahead(True), at)
         return displacement - shift.ravel()
 
     def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
@@ -195,13 +191,12 @@ class RigidNodes:
         if not self.bodies:
             return uh
         values = self.nodes.values(uh)
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on = np.flatnonzero(self.body == k)
-            translation = place.motion[: self.nodes.components]
+        for frame, on in self._frames(bodies):
+            x, translation = self.x[on], frame.motion[: self.nodes.components]
             values[on] = (
-                bodies.frames[k].displacements(place.motion, self.x[on])
+                frame.displacements(frame.motion, x)
                 if is_small
-                else self._turned(k, place) + translation - self.x[on]
+                else frame.turned_places(x) + translation - x
             )
         uh.x.scatter_forward()
         return uh
@@ -213,18 +208,17 @@ class RigidNodes:
         """
         modes = self.bodies[0].modes if self.bodies else 0
         sums = np.zeros((len(self.bodies), modes))
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on, at = self.body == k, self._turned(k, place)
+        for total, (frame, on) in zip(sums, self._frames(bodies), strict=True):
+            at = frame.turned_places(self.x[on])
             for mode, unit in enumerate(np.identity(modes)):
-                moved = bodies.frames[k].displacements(unit, at)
-                sums[k, mode] = np.sum(force[on] * moved)
+                total[mode] = np.sum(force[on] * frame.displacements(unit, at))
         self.nodes.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
-    def _turned(self, k: int, place: BodyPlace) -> Vector:
-        """Return the places (k, gdim) of a body's nodes now, less its translation."""
-        point = self.bodies[k].point
-        return point + place.turn(self.x[self.body == k] - point)
+    def _frames(self, bodies: RigidBodies) -> list[tuple[BodyFrame, Numbers]]:
+        """Return the frame of each body with its nodes of this rank."""
+        frames = bodies.frames[: len(self.bodies)]
+        return [(frame, np.flatnonzero(self.body == k)) for k, frame in enumerate(frames)]
 
     def _state(self, bodies: RigidBodies) -> tuple[Vector, Vector]:
         """Return where nodes are, less translations, and displacements that are no unknowns.
@@ -233,25 +227,9 @@ class RigidNodes:
         there.
         """
         places, shift = self.x.copy(), np.zeros_like(self.x)
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on, frame = self.body == k, bodies.frames[k]
-            at = places[on] = self._turned(k, place)
-            now = at + place.motion[: self.nodes.components] - self.x[on]
+        for frame, on in self._frames(bodies):
+            at = places[on] = frame.turned_places(self.x[on])
+            now = at + frame.motion[: self.nodes.components] - self.x[on]
             given = frame.body.prescribed_motion
-            shift[on] = now + frame.displacements(given - place.motion, at)
+            shift[on] = now + frame.displacements(given - frame.motion, at)
         return places, shift
-
-
-def _at_corners(
-    frame: BodyFrame, row: Numbers, places: Vector, coefficients: Vector
-) -> tuple[Numbers, Numbers, Vector]:
-    """Return terms at places (t, gdim) of a body as terms at its corners: row, node, coefficients.
-
-    Each row has one term for each corner.
-    """
-    rows, position = np.unique(row, return_inverse=True)
-    corners, gdim = frame.corners.shape
-    terms = np.zeros((rows.size, corners, gdim))
-    weights = frame.weights(places)
-    np.add.at(terms, position.ravel(), weights[:, :, None] * coefficients[:, None, :])
-    return np.repeat(rows, corners), np.tile(frame.nodes, rows.size), terms.reshape(-1, gdim)

@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import check_covered
+from fenics_tfeti.fem.contact.obstacles.rigid_body import are_same
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -222,11 +223,12 @@ def preload_rows(
     preload = Preload(axis, bolt.shortening)
     if bolt.force is not None:
         body = _closing_body(match.surface, boundary.nodes.total + number, axis)
-        if known is not None and known.body is not None and _is_same_body(known.body, body):
+        if known is not None and known.body is not None and are_same([known.body], [body]):
             body = known.body
         preload = Preload(axis, None, body, bolt.force)
-        along = np.arange(rows.size) % gdim == 0
-        rows = _with_term(rows, along, int(body.nodes[0]), -axis)
+        along = np.flatnonzero(np.arange(rows.size) % gdim == 0)
+        size = (along.size, 1)
+        rows = rows.with_terms(along, np.repeat(body.nodes, along.size), np.tile(-axis, size))
     return replace(match.pairing(name, "bolt", rows), preload=preload)
 
 
@@ -236,25 +238,6 @@ def _closing_body(surface: Surface, node: int, axis: Vector) -> Subdomain:
     sums = surface.comm.allreduce(sums)
     return Subdomain.rigid(
         np.zeros(axis.size), sums[None, :-1] / sums[-1], [node], 0, axis[:, None]
-    )
-
-
-def _is_same_body(known: Subdomain, body: Subdomain) -> bool:
-    return (
-        np.array_equal(known.nodes, body.nodes)
-        and np.array_equal(known.coordinates, body.coordinates)
-        and known.has_kernel_of(body)
-    )
-
-
-def _with_term(rows: ContactRows, chosen: Mask, node: int, coefficient: Vector) -> ContactRows:
-    """Return rows with a further term, the last one, in some of them."""
-    at = rows.offsets[1:][chosen]
-    return replace(
-        rows,
-        offsets=rows.offsets + np.append(0, np.cumsum(chosen)),
-        nodes=np.insert(rows.nodes, at, node),
-        coefficients=np.insert(rows.coefficients, at, coefficient, axis=0),
     )
 
 
