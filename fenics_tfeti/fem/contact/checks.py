@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
-from fenics_tfeti.fem.contact.surfaces.tagged import MasterNodes, Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
 from fenics_tfeti.fem.nodes import NodeMap
@@ -73,7 +73,7 @@ def check_partners(
 
 def check_one_to_one(
     slave: Surface,
-    master: MasterNodes,
+    master: SurfaceNodes,
     partners: Partners,
     paired: Mask,
     partial: bool,

@@ -248,28 +248,28 @@ class Surface:
         """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
         return SurfaceFacets.joined(self.comm.allgather(self.part(displacement)))
 
-    def gathered_nodes(self) -> MasterNodes:
+    def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
         columns = (self.nodes, self.points, self.normal, self.size)
         nodes, points, normal, size = (concatenate_ranks(self.comm, column) for column in columns)
         # of equally near nodes, the same is then chosen however the mesh is distributed
         order = coordinate_order(points)
-        return MasterNodes(nodes[order], points[order], normal[order], size[order])
+        return SurfaceNodes(nodes[order], points[order], normal[order], size[order])
 
 
 @dataclass(frozen=True)
-class MasterNodes:
-    """All nodes of a master's surface, on every rank and in one order for any number of ranks."""
+class SurfaceNodes:
+    """All nodes of a surface, on every rank and in one order for any number of ranks."""
 
     nodes: Numbers  # global nodes (m,)
     points: Vector  # (m, gdim) [m]
     normal: Vector  # outward unit normals (m, gdim)
     size: Vector  # (m,): mean edge length of the smallest of the facets at the node [m]
 
-    def without(self, nodes: Numbers) -> MasterNodes:
+    def without(self, nodes: Numbers) -> SurfaceNodes:
         """Leave out some nodes."""
         kept = ~np.isin(self.nodes, nodes)
-        return MasterNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
+        return SurfaceNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
 
 
 def tagged_surface(
