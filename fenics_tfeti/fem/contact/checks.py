@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_distances, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import cell_vertices
@@ -36,14 +36,10 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
     """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
-    raise_where(
-        slave.comm,
-        np.isin(slave.nodes, master),
-        slave.points,
-        lambda number, place: (
-            f"{name}: slave and master share {number} nodes, the first at {place}. {remedy}"
-        ),
-    )
+    if bad := first_wrong(slave.comm, np.isin(slave.nodes, master), slave.points):
+        raise InputError(
+            f"{name}: slave and master share {bad.number} nodes, the first at {bad.place}. {remedy}"
+        )
 
 
 def check_partners(
@@ -113,16 +109,12 @@ def check_one_to_one(
 def check_facing(slave: Surface, paired: Mask, angle: Vector, name: str) -> None:
     """Check that the slave's normals point against those of the partners, angles in degrees."""
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    raise_where(
-        slave.comm,
-        angle > 120.0,
-        slave.points[paired],
-        lambda number, place: (
-            f"{name}: slave and master look the same way at {number} nodes, the first at {place}: "
-            "the outward normals of surfaces that touch point against each other. Is one of the "
-            "tags on the far side of its body?"
-        ),
-    )
+    if bad := first_wrong(slave.comm, angle > 120.0, slave.points[paired]):
+        raise InputError(
+            f"{name}: slave and master look the same way at {bad.number} nodes, the first at "
+            f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
+            "one of the tags on the far side of its body?"
+        )
 
 
 def check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
@@ -240,16 +232,14 @@ def _raise_too_deep(
 ) -> None:
     gap = pairing.gap[inside]
     deepest = comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
-    raise_where(
-        comm,
-        -gap > thickness,
-        pairing.coordinates[inside, : pairing.normal.shape[1]],
-        lambda number, place: (
-            f"{pairing.name}: {number} slave nodes are deeper in the master than one of the bodies "
-            f"is thick, by up to {deepest:.3g}, the first at {place}. Surfaces that touch face "
-            "each other: is one of the tags on the far side of its body?"
-        ),
-    )
+    if bad := first_wrong(
+        comm, -gap > thickness, pairing.coordinates[inside, : pairing.normal.shape[1]]
+    ):
+        raise InputError(
+            f"{pairing.name}: {bad.number} slave nodes are deeper in the master than one of the "
+            f"bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. Surfaces that "
+            "touch face each other: is one of the tags on the far side of its body?"
+        )
 
 
 def check_different_nodes(
@@ -268,16 +258,16 @@ def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairin
     _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
     # at an edge of the body a node has two conditions, with normals farther apart than this angle
     edge_angle = 45.0
-    raise_where(
+    if bad := first_wrong(
         comm,
         angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle,
         a.coordinates[rows_a, : a.normal.shape[1]],
-        lambda number, place: (
-            f"{a.name} and {b.name} match {number} slave nodes twice with the same master surface "
-            f"or obstacle, the first at {place}: join the two slave surfaces under one tag, or "
-            "separate them"
-        ),
-    )
+    ):
+        raise InputError(
+            f"{a.name} and {b.name} match {bad.number} slave nodes twice with the same master "
+            f"surface or obstacle, the first at {bad.place}: join the two slave surfaces under one "
+            "tag, or separate them"
+        )
 
 
 def _master_key(contact: Contact) -> tuple[int, int]:

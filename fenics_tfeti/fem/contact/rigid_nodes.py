@@ -19,7 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.typing import Numbers, Vector
@@ -58,17 +58,13 @@ class RigidNodes:
         values = np.repeat(number[bodies.of_cell], dofs.shape[1])
         body = nodes.sum_at_owners(at, values, np.maximum)
         shared = (body >= 0) & (nodes.sum_at_owners(at, values, np.minimum) < 0)
-        raise_where(
-            nodes.comm,
-            shared,
-            x,
-            lambda count, place: (
-                f"{count} nodes belong to a rigid body of the mesh and to a deformable one, the "
-                f"first at {place}: give each body nodes of its own "
+        if bad := first_wrong(nodes.comm, shared, x):
+            raise InputError(
+                f"{bad.number} nodes belong to a rigid body of the mesh and to a deformable one, "
+                f"the first at {bad.place}: give each body nodes of its own "
                 "(fenics_tfeti.io.split_interfaces), and hold them together by a TiedPair whose "
                 "master is the rigid one"
-            ),
-        )
+            )
         return RigidNodes(nodes, x, distinct, body)
 
     def check_supports(self, prescribed: Prescribed) -> None:
@@ -78,15 +74,11 @@ class RigidNodes:
         local = prescribed.nodes - self.nodes.first
         local = np.unique(local[(local >= 0) & (local < self.nodes.owned)])
         held = local[self.body[local] >= 0]
-        raise_where(
-            self.nodes.comm,
-            np.ones(held.size, dtype=bool),
-            self.x[held],
-            lambda count, place: (
-                f"Dirichlet conditions are for {count} nodes of rigid bodies, the first at "
-                f"{place}: prescribe translation and rotation of the RigidBody instead"
-            ),
-        )
+        if bad := first_wrong(self.nodes.comm, np.ones(held.size, dtype=bool), self.x[held]):
+            raise InputError(
+                f"Dirichlet conditions are for {bad.number} nodes of rigid bodies, the first at "
+                f"{bad.place}: prescribe translation and rotation of the RigidBody instead"
+            )
 
     def places_of(self, body: RigidBody) -> Vector:
         """Return the undeformed places (k, gdim) of this rank's nodes of a body."""

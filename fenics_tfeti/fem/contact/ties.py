@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 from mpi4py import MPI
@@ -24,7 +23,7 @@ from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components, still_holds
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
 from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
@@ -139,16 +138,12 @@ def _check_together(conditions: MortarConditions, slave: Surface, name: str) -> 
     rows = np.searchsorted(slave.nodes, conditions.slave)
     distance = np.linalg.norm(conditions.gap, axis=1)
     largest = concatenate_ranks(slave.comm, distance).max(initial=0.0)
-    raise_where(
-        slave.comm,
-        distance > 0.5 * slave.size[rows],
-        slave.points[rows],
-        lambda number, place: (
-            f"{name}: the surfaces are apart, or overlap, by more than half a facet at {number} "
-            f"slave nodes, by up to {largest:.3g}, the first at {place}. Tie surfaces that lie on "
-            "each other"
-        ),
-    )
+    if bad := first_wrong(slave.comm, distance > 0.5 * slave.size[rows], slave.points[rows]):
+        raise InputError(
+            f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
+            f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
+            "surfaces that lie on each other"
+        )
 
 
 @dataclass(frozen=True)
@@ -328,17 +323,18 @@ def _matched(
     last = np.flatnonzero(np.diff(local, append=-1))
     first = np.append(0, last[:-1] + 1)[: last.size]
     places = boundary.coordinates[local[last]]
-    raise_where(
+    if bad := first_wrong(
         slave.comm,
         np.maximum.reduceat(partner, first) != np.minimum.reduceat(partner, first)
         if first.size
         else np.zeros(0, dtype=bool),
         places[:, : len(t)],
-        lambda number, place: (
-            f"{name}: {number} nodes of the slave have several partners, the first at {place}: the "
-            "facets of the master around them share no nodes. Exchange slave and master"
-        ),
-    )
+    ):
+        raise InputError(
+            f"{name}: {bad.number} nodes of the slave have several partners, the first at "
+            f"{bad.place}: the facets of the master around them share no nodes. Exchange slave and "
+            "master"
+        )
     nodes = local[last] + boundary.nodes.first
     return _Match(slave, nodes, places, partner[last], distance[last], angle[last])
 
@@ -353,26 +349,18 @@ def _check_matching(
     """
     found = np.zeros(len(image), dtype=bool)
     found[concatenate_ranks(slave.comm, facet[~alone])] = True
-    lost = ~found if slave.comm.rank == 0 else np.zeros(len(image), dtype=bool)
-    for side, other, places, wrong in (
-        ("slave", "master", x, alone),
-        ("master", "slave", image, lost),
+    for side, other, comm, wrong, places in (
+        ("slave", "master", slave.comm, alone, x),
+        ("master", "slave", MPI.COMM_SELF, ~found, image),
     ):
-        total = len(image) if side == "master" else slave.comm.allreduce(len(x))
-        raise_where(
-            slave.comm,
-            wrong,
-            places.mean(axis=1),
-            partial(_mismatch, name, f"{total} facets of the {side}", other),
-        )
-
-
-def _mismatch(name: str, facets: str, other: str, number: int, place: str) -> str:
-    return (
-        f"{name}: {number} of {facets} have no facet of the {other} with the same nodes, the first "
-        f"around {place} on the slave's side: the surfaces do not match. Mesh them alike "
-        "(setPeriodic in Gmsh), or correct the translation or rotation from the master to the slave"
-    )
+        total = comm.allreduce(len(places))
+        if bad := first_wrong(comm, wrong, places.mean(axis=1)):
+            raise InputError(
+                f"{name}: {bad.number} of {total} facets of the {side} have no facet of the "
+                f"{other} with the same nodes, the first around {bad.place} on the slave's side: "
+                "the surfaces do not match. Mesh them alike (setPeriodic in Gmsh), or correct the "
+                "translation or rotation from the master to the slave"
+            )
 
 
 def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
@@ -388,16 +376,14 @@ def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
                     "dimension than the mesh; it has to go through the cut"
                 )
         return axis if axis @ normal > 0.0 else -axis
-    raise_where(
-        surface.comm,
-        np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE,
-        surface.points,
-        lambda number, place: (
-            f"{name}: the cut is not plane, at {number} nodes its normals are not the mean one "
-            f"{np.round(normal, 4).tolist()}, the first at {place}. Cut the shank by a plane, or "
-            "give the axis"
-        ),
-    )
+    if bad := first_wrong(
+        surface.comm, np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE, surface.points
+    ):
+        raise InputError(
+            f"{name}: the cut is not plane, at {bad.number} nodes its normals are not the mean one "
+            f"{np.round(normal, 4).tolist()}, the first at {bad.place}. Cut the shank by a plane, "
+            "or give the axis"
+        )
     return normal
 
 

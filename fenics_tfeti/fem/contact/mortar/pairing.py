@@ -20,7 +20,7 @@ from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
@@ -146,16 +146,12 @@ def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> No
             "touch face each other: is one of the tags on the far side of its body, or on another "
             "body?"
         )
-    if not rows:
-        raise_where(
-            slave.comm,
-            np.ones(slave.nodes.size, dtype=bool),
-            slave.points,
-            lambda number, place: (
-                f"{name}: the master covers slivers of {facets} slave facets only, too little for "
-                f"any of the {number} slave nodes, the first at {place}. Tag surfaces that lie "
-                "over each other, not ones that meet at an edge"
-            ),
+    everywhere = np.ones(slave.nodes.size, dtype=bool)
+    if not rows and (bad := first_wrong(slave.comm, everywhere, slave.points)):
+        raise InputError(
+            f"{name}: the master covers slivers of {facets} slave facets only, too little for any "
+            f"of the {bad.number} slave nodes, the first at {bad.place}. Tag surfaces that lie "
+            "over each other, not ones that meet at an edge"
         )
 
 
@@ -174,13 +170,9 @@ def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, name: str) -> None:
     low, high, middle, normal = low[order], high[order], middle[order], normal[order]
     same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
     folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
-    raise_where(
-        all_nodes.comm,
-        folded,
-        middle[1:],
-        lambda number, place: (
-            f"{name}: the slave's surface is folded by more than 90 degrees at {number} edges, the "
-            f"first at {place}. Tag the two sides of a sharp edge as surfaces of two contacts, or "
-            "make the other surface the slave"
-        ),
-    )
+    if bad := first_wrong(all_nodes.comm, folded, middle[1:]):
+        raise InputError(
+            f"{name}: the slave's surface is folded by more than 90 degrees at {bad.number} edges, "
+            f"the first at {bad.place}. Tag the two sides of a sharp edge as surfaces of two "
+            "contacts, or make the other surface the slave"
+        )

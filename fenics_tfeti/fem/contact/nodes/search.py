@@ -16,7 +16,7 @@ from fenics_tfeti.fem.contact.description import Along, Mapped, Nearest, NodePar
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
-from fenics_tfeti.fem.messages import coordinate_order, first_distances, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_distances, first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import VectorField, unit_vectors, vectors_at
 from fenics_tfeti.parallel import raise_collectively
@@ -143,15 +143,13 @@ def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points, name: str) -
         ("master", master_distance, master_points, master.size[partner]),
     ):
         _check_points_are_nodes(distance, pairs.tolerance * size, points, f"{name}: {side}")
-    raise_where(
-        MPI.COMM_SELF,
-        np.bincount(rows, minlength=len(nodes.points)) > 1,
-        nodes.points,
-        lambda number, place: (
-            f"{name}: {number} slave nodes are in several pairs, the first at {place}: name each "
-            "once"
-        ),
-    )
+    if bad := first_wrong(
+        MPI.COMM_SELF, np.bincount(rows, minlength=len(nodes.points)) > 1, nodes.points
+    ):
+        raise InputError(
+            f"{name}: {bad.number} slave nodes are in several pairs, the first at {bad.place}: "
+            "name each once"
+        )
     partners = Partners(
         np.full(slave.nodes.size, -1, dtype=np.int64),
         np.full(slave.nodes.size, np.inf),

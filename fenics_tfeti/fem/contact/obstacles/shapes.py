@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import as_coordinates, as_direction, evaluate, is_number
 from fenics_tfeti.parallel import raise_collectively
@@ -185,26 +185,20 @@ def gap_and_normal(
     nothing = gap >= NO_OBSTACLE
     gap = np.where(nothing, np.inf, gap)
     outward = np.where(nothing[:, None], -normal, outward)
-    raise_where(
-        comm,
-        ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)),
-        points[:, :gdim],
-        lambda number, place: (
+    if bad := first_wrong(
+        comm, ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)), points[:, :gdim]
+    ):
+        raise InputError(
             f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
-            f"{number} points, the first at {place}. Only the gap may be +inf, where there is no "
-            "obstacle"
-        ),
-    )
+            f"{bad.number} points, the first at {bad.place}. Only the gap may be +inf, where there "
+            "is no obstacle"
+        )
     length = np.linalg.norm(outward, axis=1)
-    raise_where(
-        comm,
-        np.abs(length - 1.0) > UNIT_LENGTH,
-        points[:, :gdim],
-        lambda number, place: (
-            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at {number} "
-            f"points, the first at {place}. Divide it by its length"
-        ),
-    )
+    if bad := first_wrong(comm, np.abs(length - 1.0) > UNIT_LENGTH, points[:, :gdim]):
+        raise InputError(
+            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
+            f"{bad.number} points, the first at {bad.place}. Divide it by its length"
+        )
     facing = np.sum(outward * normal, axis=1) < 0.0
     total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
     if total and not faced:

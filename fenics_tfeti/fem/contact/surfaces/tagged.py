@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import (
     owned_facets,
 )
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import (
     COORDINATE_ROUNDING,
@@ -178,26 +178,18 @@ class Surface:
     def check_weight(self, weighted: Vector, rows: Numbers | slice, name: str) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
         mean, points = weighted / self.area[rows], self.points[rows]
-        raise_where(
-            self.comm,
-            ~np.isfinite(mean),
-            points,
-            lambda number, place: (
-                f"slave of {name}: measure_weight is NaN or infinite around {number} nodes, the "
-                f"first at {place}"
-            ),
-        )
+        if bad := first_wrong(self.comm, ~np.isfinite(mean), points):
+            raise InputError(
+                f"slave of {name}: measure_weight is NaN or infinite around {bad.number} nodes, "
+                f"the first at {bad.place}"
+            )
         largest = self.comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
-        raise_where(
-            self.comm,
-            mean <= RELATIVE_ROUNDING * largest,
-            points,
-            lambda number, place: (
-                f"slave of {name}: measure_weight is negative or zero around {number} nodes, the "
-                f"first at {place}: as the factor of ds it has to be positive there. Has the mesh "
-                "nodes of negative radius, or is a surface on the axis tagged?"
-            ),
-        )
+        if bad := first_wrong(self.comm, mean <= RELATIVE_ROUNDING * largest, points):
+            raise InputError(
+                f"slave of {name}: measure_weight is negative or zero around {bad.number} nodes, "
+                f"the first at {bad.place}: as the factor of ds it has to be positive there. Has "
+                "the mesh nodes of negative radius, or is a surface on the axis tagged?"
+            )
 
     def areas(self, covered: Mask, name: str) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.
@@ -335,17 +327,13 @@ def _check_facets(
     if number == 0:
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
-    raise_where(
-        comm,
-        ~boundary.exterior[facets],
-        middles,
-        lambda interior, place: (
-            f"{label}: {interior} of the {number} facets with tag {tag} are inside a body, or "
-            f"between bodies that share their nodes, the first around {place}: only facets on the "
-            "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
-            "of their own by fenics_tfeti.io.split_interfaces"
-        ),
-    )
+    if bad := first_wrong(comm, ~boundary.exterior[facets], middles):
+        raise InputError(
+            f"{label}: {bad.number} of the {number} facets with tag {tag} are inside a body, or "
+            f"between bodies that share their nodes, the first around {bad.place}: only facets on "
+            "the boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get "
+            "nodes of their own by fenics_tfeti.io.split_interfaces"
+        )
 
 
 def _normals_and_areas(
@@ -364,27 +352,19 @@ def _normals_and_areas(
     length = np.linalg.norm(weighted, axis=1)
     minimum = VANISHING_NORMAL * facet_area
     if user_normal is None:
-        raise_where(
-            comm,
-            length <= minimum,
-            coordinates[:, :gdim],
-            lambda number, place: (
-                f"{label}: the normals of the facets around {number} nodes cancel, the first at "
-                f"{place}: tag one side of an edge only, or give a normal"
-            ),
-        )
+        if bad := first_wrong(comm, length <= minimum, coordinates[:, :gdim]):
+            raise InputError(
+                f"{label}: the normals of the facets around {bad.number} nodes cancel, the first "
+                f"at {bad.place}: tag one side of an edge only, or give a normal"
+            )
         return weighted / length[:, None], length
     normal = unit_vectors(comm, user_normal, coordinates, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
-    raise_where(
-        comm,
-        area <= minimum,
-        coordinates[:, :gdim],
-        lambda number, place: (
-            f"the normal of the {label} points into the body or along its surface at {number} "
-            f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
-        ),
-    )
+    if bad := first_wrong(comm, area <= minimum, coordinates[:, :gdim]):
+        raise InputError(
+            f"the normal of the {label} points into the body or along its surface at {bad.number} "
+            f"nodes, the first at {bad.place}: it has to point out of the slave, as the facets' do"
+        )
     return normal, area
 
 
