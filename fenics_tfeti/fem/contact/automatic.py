@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -23,6 +22,7 @@ from fenics_tfeti.fem.contact.mortar.cells import (
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
@@ -183,7 +183,7 @@ def _is_near(
     for number in np.unique(master):
         of_body = master == number
         nodes = others.facets.nodes[body == number]
-        surface = replace(others, facets=Facets(others.points, nodes)).faceted()
+        surface = FacetedSurface.of(Facets(others.points, nodes))
         near[behind[of_body]] = surface.distance(points[of_body]).signed < 0.0
     return near
 

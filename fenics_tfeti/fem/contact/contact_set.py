@@ -48,8 +48,8 @@ from fenics_tfeti.fem.contact.roles import (
     Roles,
     describe_roles,
     exchanged,
+    may_exchange,
     nodal_stiffness,
-    one_sided_data,
     prefers_exchange,
     roles_ratio,
     warn_of_roles,
@@ -518,8 +518,7 @@ class ContactSearch:
         self._rigid_tags = rigid or {}
         self._displacement = displacement
         self._measure_weight = measure_weight
-        self._roles: list[Roles] = []
-        self._made_master: list[Roles] = []  # pairs whose slave was rigid
+        self._roles = dict[int, Roles]()  # of pairs, by `id`
         self.forget()
 
     def forget(self) -> None:
@@ -538,7 +537,7 @@ class ContactSearch:
             if isinstance(contact, Tie):
                 ties[number] = contact
             else:
-                touching[number] = self._roles_of(contact) or self._first_roles(contact)
+                touching[number] = self._roles_of(contact)
         self.rigid.check_supports(prescribed)
         with self._timer.phase("contact search"):
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
@@ -570,21 +569,18 @@ class ContactSearch:
         self._last = found
         return found
 
-    def _first_roles(self, contact: Contact) -> Roles:
-        """Return the roles of a new contact: a rigid surface is the master. Collective."""
-        known = next((roles for roles in self._made_master if roles.given is contact), None)
-        if known is not None or not isinstance(contact, ContactPair):
-            return known or Roles(contact, contact)
-        may_exchange = contact.roles == "auto" and one_sided_data(contact) is None
-        is_rigid = [
-            self.rigid.on_surface(self._nodes_of(contact, tag))
-            for tag in (contact.slave, contact.master)
-        ]
-        if is_rigid != [True, False] or not may_exchange:
+    def _roles_of(self, contact: Contact) -> Roles:
+        """Return the roles of a contact; of a pair a rigid surface is the master. Collective."""
+        if not isinstance(contact, ContactPair):
             return Roles(contact, contact)
-        reason = "slave and master are exchanged: the given slave is rigid"
-        self._made_master.append(Roles(contact, exchanged(contact), None, reason))
-        return self._made_master[-1]
+        if id(contact) not in self._roles:
+            roles, tags = Roles(contact, contact), (contact.slave, contact.master)
+            is_rigid = [self.rigid.on_surface(self._nodes_of(contact, tag)) for tag in tags]
+            if is_rigid == [True, False] and may_exchange(contact):
+                reason = "slave and master are exchanged: the given slave is rigid"
+                roles = replace(roles, used=exchanged(contact), reason=reason)
+            self._roles[id(contact)] = roles
+        return self._roles[id(contact)]
 
     def _nodes_of(self, contact: ContactPair, tag: int) -> Numbers:
         """Return this rank's nodes on facets with a tag; wrong tags are found later."""
@@ -664,7 +660,7 @@ class ContactSearch:
         new = [
             index
             for index, entry in enumerate(found.contacts)
-            if isinstance(entry.contact, ContactPair) and self._roles_of(entry.roles.given) is None
+            if isinstance(entry.contact, ContactPair) and not entry.roles.are_decided
         ]
         if not new:
             return found
@@ -676,9 +672,6 @@ class ContactSearch:
                 warn_of_deviation(found.contacts[index].undeformed.summary)
         return found
 
-    def _roles_of(self, contact: Contact) -> Roles | None:
-        return next((roles for roles in self._roles if roles.given is contact), None)
-
     def _decide_roles(
         self,
         found: ContactSet,
@@ -688,28 +681,25 @@ class ContactSearch:
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
         comm, entry = self._space.mesh.comm, found.contacts[index]
-        pair, pairing = entry.roles.given, entry.undeformed
+        pair, roles = entry.roles.given, replace(entry.roles, are_decided=True)
         assert isinstance(pair, ContactPair)
-        if entry.roles.used is not pair:
-            self._roles.append(entry.roles)
-            return found
-        ratio = roles_ratio(pairing, stiffness)
-        roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
-        if ratio is not None and prefers_exchange(pair, ratio):
-            reason = describe_roles(pair, ratio, True, None)
-            self._roles.append(Roles(pair, exchanged(pair), 1.0 / ratio, reason))
-            try:
-                found = self.find(contacts, found.prescribed)
-                roles = self._roles[-1]
-            except InputError as error:
-                # surfaces that can be masters only, such as folded ones, or masters of other pairs
-                reason = describe_roles(pair, ratio, False, str(error))
-                roles = replace(roles, reason=reason)
-            self._roles.pop()
-        self._roles.append(roles)
-        with raise_collectively(comm):
-            if roles.ratio is not None and comm.rank == 0:
-                warn_of_roles(pairing.name, roles.ratio)
+        ratio = roles_ratio(entry.undeformed, stiffness)
+        if roles.used is pair and ratio is not None:
+            roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
+            if prefers_exchange(pair, ratio):
+                reason = describe_roles(pair, ratio, exchange=True)
+                self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
+                try:
+                    found = self.find(contacts, found.prescribed)
+                    roles = self._roles[id(pair)]
+                except InputError as error:
+                    # surfaces that can be masters only, as folded ones, or masters of other pairs
+                    reason = describe_roles(pair, ratio, obstacle=str(error))
+                    roles = replace(roles, reason=reason)
+            with raise_collectively(comm):
+                if roles.ratio is not None and comm.rank == 0:
+                    warn_of_roles(entry.pairing.name, roles.ratio)
+        self._roles[id(pair)] = roles
         found_contacts = list(found.contacts)
         found_contacts[index] = replace(found_contacts[index], roles=roles)
         return replace(found, contacts=found_contacts)

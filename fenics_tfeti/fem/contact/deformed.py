@@ -23,6 +23,7 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObst
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.displacement import owned_values
@@ -140,7 +141,7 @@ def _deformed_pairs(
     if contact.normal is None:
         slave.check_not_folded(pairing.name)
         normal = slave.normal[rows]
-    distance, signed = master.faceted().gap_along(slave.points[rows], normal)
+    distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
     partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
     relative = slave.displacement[rows] - master.displacement[partner]
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])

@@ -37,6 +37,7 @@ class Roles:
     used: Contact  # the same object, or the pair with slave and master exchanged
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
     reason: str | None = None  # for the report, see `describe_roles`
+    are_decided: bool = False  # from the stiffness of the bodies
 
     def entries(self) -> dict[str, Any]:
         """Return the entries of the report."""
@@ -66,10 +67,14 @@ def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
     return slave / master if master > 0.0 else 0.0
 
 
-def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
+def may_exchange(contact: ContactPair) -> bool:
+    """Tell whether slave and master of a pair may be exchanged."""
+    return contact.roles == "auto" and one_sided_data(contact) is None
+
+
+def prefers_exchange(contact: ContactPair, ratio: float) -> bool:
     """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
-    allowed = contact.roles == "auto" and one_sided_data(contact) is None
-    return allowed and ratio is not None and ratio > _EXCHANGE_RATIO
+    return may_exchange(contact) and ratio > _EXCHANGE_RATIO
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
@@ -89,14 +94,14 @@ def one_sided_data(contact: ContactPair) -> str | None:
 
 
 def describe_roles(
-    contact: ContactPair, ratio: float | None, exchange: bool, obstacle: str | None
+    contact: ContactPair, ratio: float, exchange: bool = False, obstacle: str | None = None
 ) -> str | None:
     """Describe the choice of roles for the report; None where the given roles are good ones.
 
     The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
     ones.
     """
-    if ratio is None or ratio <= _EXCHANGE_RATIO:
+    if ratio <= _EXCHANGE_RATIO:
         return None
     fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
     if exchange:

@@ -231,17 +231,11 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
         return cells
     facet = cells.slave[suspects]
     in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
-    signed = _simplices(master.facets).distance(planes.origin[facet] + in_plane).signed
+    surface = FacetedSurface.of(master.facets)
+    signed = surface.distance(planes.origin[facet] + in_plane).signed
     kept = np.ones(cells.slave.size, dtype=bool)
     kept[suspects] = signed < 0.0
     return cells.select_pairs(kept)
-
-
-def _simplices(surface: Facets) -> FacetedSurface:
-    corners = surface.pieces
-    if corners.shape[1] == 4:
-        corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    return FacetedSurface(surface.points, corners)
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:

@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     slave_matrix,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
@@ -43,7 +43,7 @@ class MortarConditions:
     coverage: Vector  # (k,): covered share of the area that belongs to the node
     # (k,): largest distance of facets there from curved surfaces through their nodes [m]
     chord: Vector
-    deviation: Vector  # (k,): the same for curved facets of degree 2, see `facet_deviations`
+    deviation: Vector  # (k,): the same less the curvature of the facets
     angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
     covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
@@ -273,5 +273,5 @@ def _heights(surface: SurfaceFacets) -> Vector:
     corners, nodes = surface.facets.corners, surface.facets.nodes
     middles = nodes[:, corners.shape[1] :]
     points = surface.points[middles] if middles.size else None
-    curved = (surface.points[corners], surface.normal[corners], points)
-    return np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
+    heights = chord_heights(surface.points[corners], surface.normal[corners], points)
+    return np.column_stack(heights)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -67,7 +66,19 @@ def match_by_mortar(
         deviation=deviation if contact.initial_gap == "geometric" else None,
     )
     summary = {**summary, "slave": contact.slave, "master": contact.master}
-    return _pairing(name, conditions, slave, tagged_master, gap, summary, prescribed)
+    return ContactPairing(
+        conditions.terms,
+        conditions.normal,
+        gap,
+        conditions.area,
+        name,
+        summary,
+        slave,
+        conditions.covered,
+        conditions.coverage,
+        prescribed,
+        tagged_master,
+    )
 
 
 def match_deformed(
@@ -98,33 +109,16 @@ def match_deformed(
     conditions = mortar_conditions(surface, facets, master, shared)
     check_covered(conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    new = _pairing(name, conditions, surface, tagged_master, distance, pairing.summary, prescribed)
+    new = replace(
+        pairing,
+        terms=conditions.terms,
+        normal=conditions.normal,
+        area=conditions.area,
+        covered=conditions.covered,
+        coverage=conditions.coverage,
+    )
     relative = new.relative(nodes, nodes.values(displacement))
     return replace(new, gap=distance + np.sum(relative * conditions.normal, axis=1)), distance
-
-
-def _pairing(
-    name: str,
-    conditions: MortarConditions,
-    slave: Surface,
-    master: Surface,
-    gap: Vector,
-    summary: dict[str, Any],
-    prescribed: Mask,
-) -> ContactPairing:
-    return ContactPairing(
-        conditions.terms,
-        conditions.normal,
-        gap,
-        conditions.area,
-        name,
-        summary,
-        slave,
-        conditions.covered,
-        conditions.coverage,
-        prescribed,
-        master,
-    )
 
 
 def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:

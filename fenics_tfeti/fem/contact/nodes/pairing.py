@@ -121,7 +121,7 @@ def match_nodes(
 
 def _nodal_chords(slave: Surface) -> Vector:
     """Return at each node the largest chord height of the slave's facets there. Collective."""
-    return slave.max_of_facets(chord_heights(slave.corners, slave.at_corners(slave.normal)))
+    return slave.max_of_facets(chord_heights(slave.corners, slave.at_corners(slave.normal))[0])
 
 
 def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partial: bool) -> Numbers:

@@ -113,9 +113,9 @@ class FacetedObstacle:
             _compat.lagrange_space(mesh, _compat.geometry_degree(mesh), mesh.geometry.dim)
         )
         surface = tagged_surface(boundary, facet_tags, tag, "the obstacle")
-        points, facets = surface.gathered().simplices()
+        facets = surface.gathered().facets
         with raise_collectively(mesh.comm):
-            return FacetedObstacle(points, facets)
+            return FacetedObstacle(facets.with_centres(facets.points), facets.simplices())
 
     @cached_property
     def _surface(self) -> FacetedSurface:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, ON_CORNER, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -57,6 +58,11 @@ class FacetedSurface:
         self._tree = BoxTree(self._corners)
         self._rounding = COORDINATE_ROUNDING * float(np.abs(points).max(initial=0.0))
         self._describe_features(facets)
+
+    @staticmethod
+    def of(facets: Facets) -> FacetedSurface:
+        """Return the surface of segments or triangles that facets are divided into."""
+        return FacetedSurface(facets.with_centres(facets.points), facets.simplices())
 
     def _describe_features(self, facets: Numbers) -> None:
         """Describe the features of each facet: corners, edges (3D) and the interior.
