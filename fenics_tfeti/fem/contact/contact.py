@@ -186,21 +186,6 @@ def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
 
 
-def openings(
-    nodes: NodeMap, pairings: Sequence[ContactPairing], displacement: Vector
-) -> list[Vector]:
-    """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
-
-    An opening is the gap less the approach of the surfaces along the slave's normal; infinite where
-    there is no obstacle. The displacement (n,) is at the degrees of freedom that this rank owns
-    [m].
-    """
-    rows = contact_rows(pairings, nodes.components)
-    opening = (rows.gap - row_values(nodes, rows, displacement)) / rows.length
-    ends = np.cumsum([pairing.slave.size for pairing in pairings])
-    return np.split(opening, ends[:-1]) if len(pairings) else []
-
-
 def row_values(
     nodes: NodeMap, rows: ContactRows, displacement: Vector, beyond: Vector | None = None
 ) -> Vector:

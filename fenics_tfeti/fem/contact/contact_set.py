@@ -15,7 +15,7 @@ from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, openings
+from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, row_values
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import (
     BoltPreload,
@@ -138,11 +138,6 @@ class FoundContact:
             contact = replace(contact, obstacle=frame.obstacle(contact.obstacle))
         return deformed_contact(contact, self.pairing, uh)
 
-    def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
-        """Return the contact with friction evaluated at its conditions. Collective."""
-        friction = nodal_friction(space, self.contact, self.pairing, prescribed)
-        return replace(self, friction=friction)
-
 
 @dataclass(frozen=True)
 class FoundTie:
@@ -171,11 +166,6 @@ class ContactSet:
     def pairings(self) -> list[ContactPairing]:
         """The conditions of each contact."""
         return [found.pairing for found in self.contacts]
-
-    @property
-    def friction(self) -> list[NodalFriction | None]:
-        """Friction at the conditions of each contact."""
-        return [found.friction for found in self.contacts]
 
     @property
     def names(self) -> list[str]:
@@ -208,37 +198,44 @@ class ContactSet:
 
         Unknowns are displacements from a start (n,), by default the undeformed state.
         """
-        rows = contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
-        friction = list(self.friction)
-        for k, (found, nodal) in enumerate(zip(self.contacts, self.friction, strict=True)):
-            if found.on_body is not None and nodal is not None:
-                moved = self._slip_of_body(found, found.on_body, origin, k)
-                friction[k] = replace(nodal, obstacle_displacement=moved)
+        nodes, first, sites = self.boundary.nodes, 0, []
+        for k, found in enumerate(self.contacts):
+            numbers = first + np.arange(found.pairing.slave.size)
+            first += numbers.size
+            if found.friction is not None:
+                moved = self._obstacle_motion(found, found.friction, origin, k)
+                sites.append((numbers, found.friction, moved))
         displacement = origin.displacement - (0.0 if start is None else start)
         displacement = self.rigid.relative_to_unknowns(displacement, self.bodies, self.from_here)
-        origin = replace(origin, displacement=displacement)
-        return friction_rows(self.boundary.nodes, rows, self.pairings, friction, origin)
+        rows = contact_rows(self.pairings, nodes.components)
+        return friction_rows(nodes, rows, sites, displacement)
 
-    def _slip_of_body(self, found: FoundContact, on: OnBody, origin: SlipOrigin, k: int) -> Vector:
-        """Return the displacement (k, gdim) of a body that slip is relative to. Collective.
+    def _obstacle_motion(
+        self, found: FoundContact, friction: NodalFriction, origin: SlipOrigin, k: int
+    ) -> Vector:
+        """Return what an obstacle has moved (k, gdim) since the origin of slip. Collective.
 
-        It is what is not among the unknowns, with all but the present rotation of the slip: the
-        slave's nodes have slid from one place of the body to another.
+        Of a body it is what is not among the unknowns, with all but the present rotation of the
+        slip: the slave's nodes have slid from one place of the body to another.
         """
-        frame, nodes, pairing = self.bodies.frame_of(found.body), self.boundary.nodes, found.pairing
-        u = origin.displacement.reshape(-1, nodes.components)
-        start = pairing.relative(nodes, nodes.coordinates + u)
+        nodes, pairing, on = self.boundary.nodes, found.pairing, found.on_body
         earlier = origin.obstacles.at(k, self.dofs(pairing.slave))
-        now = frame.undeformed_places(on.slave)
-        slid = frame.turn(now - (start - earlier))
+        if on is None:
+            return friction.obstacle_displacement - earlier
+        frame, u = self.bodies.frame_of(found.body), origin.displacement
+        start = pairing.relative(nodes, nodes.coordinates + u.reshape(-1, nodes.components))
+        slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
         ahead = frame.displacements(frame.ahead(self.from_here), on.places)
-        moved: Vector = earlier + on.slave - start + ahead - slid
+        moved: Vector = on.slave - start + ahead - slid
         return moved
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
-        space = self.boundary.space
-        contacts = [found.with_friction(space, self.prescribed) for found in self.contacts]
+        space, prescribed = self.boundary.space, self.prescribed
+        contacts = [
+            replace(f, friction=nodal_friction(space, f.contact, f.pairing, prescribed))
+            for f in self.contacts
+        ]
         return replace(self, contacts=contacts)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
@@ -246,9 +243,9 @@ class ContactSet:
 
         The mesh has as many bodies as `first`, the number of the first one here.
         """
-        bodies, preloads = self.bodies.subdomains(self.from_here), self._preloads
         first += len(self.bodies.frames)
-        return bodies + [preloads[k][1].subdomain(first + k) for k in self._own(preloads)]
+        bolts = [p.subdomain(first + k) for k, (_, p) in enumerate(self._preloads)]
+        return self.bodies.subdomains(self.from_here) + bolts[self._own_preloads]
 
     @property
     def added_names(self) -> list[str]:
@@ -264,10 +261,11 @@ class ContactSet:
         found = ((tie, tie.pairing.preload) for tie in self.ties)
         return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
 
-    def _own(self, bodies: Sequence[object]) -> range:
-        """Return which of all ranks' bodies this one has."""
+    @property
+    def _own_preloads(self) -> slice:
+        """Which of all ranks' bolts with an unknown shortening this one has."""
         comm = self.boundary.nodes.comm
-        return range(comm.rank, len(bodies), comm.size)
+        return slice(comm.rank, None, comm.size)
 
     def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
         """Return shortenings by number of the bolt. Collective.
@@ -275,11 +273,9 @@ class ContactSet:
         They are those of `added_subdomains`, with which the displacements of subdomains end.
         """
         preloads = self._preloads
-        values, mine = np.zeros(len(preloads)), self._own(preloads)
-        for k, displacement in zip(
-            mine, displacements[len(displacements) - len(mine) :], strict=True
-        ):
-            values[k] = displacement @ preloads[k][1].axis
+        values, own = np.zeros(len(preloads)), preloads[self._own_preloads]
+        last = displacements[len(displacements) - len(own) :]
+        values[self._own_preloads] = [u @ p.axis for u, (_, p) in zip(last, own, strict=True)]
         self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
         return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
 
@@ -288,7 +284,7 @@ class ContactSet:
 
         The displacements end with those of `added_subdomains`.
         """
-        bolts = len(self._own(self._preloads))
+        bolts = len(self._preloads[self._own_preloads])
         of_bodies = displacements[: len(displacements) - bolts]
         return self.bodies.motions_after(of_bodies, self.from_here)
 
@@ -347,20 +343,22 @@ class ContactSet:
 
         The rigid bodies are by default where the solution moves them.
         """
-        opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
+        conditions = contact_rows(self.pairings, self.boundary.nodes.components)
+        moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
+        opening = (conditions.gap - moved) / conditions.length
         if bodies is None:
             bodies = self.bodies_after(solution)
         shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
-        for found, gap_after in zip(self.contacts, opening, strict=True):
+        for found in self.contacts:
+            rows = slice(row, row + found.pairing.slave.size)
             if found.on_body is not None:
                 frame = bodies.frame_of(found.body)
                 moved = frame.displacements(frame.motion, found.on_body.places)
-                gap_after += np.sum(found.pairing.normal * moved, axis=1)
-            rows = slice(row, row + found.pairing.slave.size)
+                opening[rows] += np.sum(found.pairing.normal * moved, axis=1)
             sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
             row, site = rows.stop, sites.stop
-            contacts.append(self._result(found, gap_after, solution, rows, sites))
+            contacts.append(self._result(found, opening[rows], solution, rows, sites))
         row = 0
         for tie in self.ties:
             rows = slice(row, row + tie.pairing.rows.size)

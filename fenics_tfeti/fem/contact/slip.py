@@ -84,18 +84,21 @@ def nodal_friction(
     space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
 ) -> NodalFriction | None:
     """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
-    if contact.friction is None:
+    law, points, name = contact.friction, pairing.coordinates, pairing.name
+    if law is None:
         return None
-    nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
-    law = contact.friction
-    values = _law_values(space, law, nodes, points, name)
+    values = _law_values(space, law, pairing.slave, points, name)
     is_tresca = isinstance(law, Tresca)
     fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
+    moved = np.zeros_like(pairing.normal)
+    if isinstance(contact, RigidObstacle) and contact.displacement is not None:
+        label, gdim = f"{name}: the obstacle's displacement", moved.shape[1]
+        moved = vectors_at(space.mesh.comm, contact.displacement, points, gdim, label)
     return NodalFriction(
         tangents(pairing.normal, fixed),
         np.where(is_tresca, values * pairing.area, 0.0),
         np.where(is_tresca, 0.0, values),
-        obstacle_motion(space, contact, points, name),
+        moved,
     )
 
 
@@ -129,52 +132,31 @@ def _nodal_values(space: FunctionSpace, function: Function, nodes: Numbers, labe
     return values
 
 
-def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
-    """Return an obstacle's displacement (k, gdim) at points (k, 3) [m]. Collective."""
-    gdim = space.dofmap.index_map_bs
-    motion = contact.displacement if isinstance(contact, RigidObstacle) else None
-    if motion is None:
-        return np.zeros((len(points), gdim))
-    label = f"{name}: the obstacle's displacement"
-    return vectors_at(space.mesh.comm, motion, points, gdim, label)
-
-
 def friction_rows(
     nodes: NodeMap,
     rows: ContactRows,
-    pairings: Sequence[ContactPairing],
-    friction: Sequence[NodalFriction | None],
-    origin: SlipOrigin,
+    sites: Sequence[tuple[Numbers, NodalFriction, Vector]],
+    origin: Vector,
 ) -> Friction:
-    """Return where the contact rows have friction, and from where slip is counted. Collective.
+    """Return where contact rows have friction, and from where slip is counted. Collective.
 
-    The rows are the conditions of all contacts, one contact after the other.
+    Of each contact with friction, the sites are positions among the rows (k,), the friction there,
+    and what the obstacle has moved (k, gdim) since the displacement of the origin (n,) [m].
     """
     gdim = nodes.components
-    first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
-    parts = [
-        (first[k] + np.arange(pairing.slave.size), nodal, pairing, k)
-        for k, (pairing, nodal) in enumerate(zip(pairings, friction, strict=True))
-        if nodal is not None
-    ]
-    if not parts:
+    if not sites:
         return Friction.none(gdim)
     new = Friction(
-        np.concatenate([numbers for numbers, *_ in parts]),
-        np.concatenate([nodal.tangents for _, nodal, *_ in parts]),
-        np.concatenate([nodal.bound for _, nodal, *_ in parts]),
-        coefficient=np.concatenate([nodal.coefficient for _, nodal, *_ in parts]),
+        np.concatenate([numbers for numbers, _, _ in sites]),
+        np.concatenate([friction.tangents for _, friction, _ in sites]),
+        np.concatenate([friction.bound for _, friction, _ in sites]),
+        coefficient=np.concatenate([friction.coefficient for _, friction, _ in sites]),
     )
     tangential = new.tangential_rows(rows)
-    slip = row_values(nodes, tangential, origin.displacement).reshape(-1, gdim - 1)
+    slip = row_values(nodes, tangential, origin).reshape(-1, gdim - 1)
     slip /= tangential.length.reshape(-1, gdim - 1)
-    motion = np.concatenate(
-        [
-            nodal.obstacle_displacement - origin.obstacles.at(k, pairing.slave - nodes.first)
-            for _, nodal, pairing, k in parts
-        ]
-    )
-    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, motion))
+    moved = np.concatenate([moved for _, _, moved in sites])
+    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))
 
 
 def friction_result(
