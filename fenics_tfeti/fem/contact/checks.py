@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
 from fenics_tfeti.fem.contact.nodes.search import Partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -129,9 +130,7 @@ def check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
     ends, ends_normals, partners = (
         corner_values[:, edges].reshape(-1, 2, gdim) for corner_values in (corners, normals, images)
     )
-    normal = ends_normals.sum(axis=1)
-    length = np.linalg.norm(normal, axis=1, keepdims=True)
-    normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0.0)
+    normal = unit(ends_normals.sum(axis=1))
     # tangential components only: gaps may differ from node to node
     edge = tangential_part(ends[:, 1] - ends[:, 0], normal)
     image = partners[:, 1] - partners[:, 0]

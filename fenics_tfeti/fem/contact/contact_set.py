@@ -168,10 +168,7 @@ class ContactSet:
         return self.rigid.joined(ContactRows.concatenate(rows), self.bodies)
 
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
-        """Return where `rows` have friction, and from where slip is counted. Collective.
-
-        Unknowns are displacements from a start (n,), by default the undeformed state.
-        """
+        """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
         nodes, first, sites = self.boundary.nodes, 0, []
         for k, found in enumerate(self.contacts):
             numbers = first + np.arange(found.pairing.slave.size)
@@ -242,10 +239,7 @@ class ContactSet:
         return slice(comm.rank, None, comm.size)
 
     def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
-        """Return shortenings by number of the bolt. Collective.
-
-        They are those of `added_subdomains`, with which the displacements of subdomains end.
-        """
+        """Return shortenings by number of the bolt, of displacements of subdomains. Collective."""
         preloads = self._preloads
         values, own = np.zeros(len(preloads)), preloads[self._own_preloads]
         last = displacements[len(displacements) - len(own) :]
@@ -254,10 +248,7 @@ class ContactSet:
         return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
 
     def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
-        """Return the motions of all rigid bodies after displacements of subdomains. Collective.
-
-        The displacements end with those of `added_subdomains`.
-        """
+        """Return the motions of all rigid bodies after displacements of subdomains. Collective."""
         bolts = len(self._preloads[self._own_preloads])
         of_bodies = displacements[: len(displacements) - bolts]
         return self.bodies.motions_after(of_bodies, self.from_here)
@@ -310,18 +301,11 @@ class ContactSet:
         """Return the rigid bodies where a solution moves them. Collective."""
         return self.bodies.moved(self.motions_after(solution.displacements))
 
-    def solved(
-        self, solution: TornSolution, uh: Function, bodies: RigidBodies | None = None
-    ) -> SolvedContacts:
-        """Return the solution at each contact and tied pair. Collective.
-
-        The rigid bodies are by default where the solution moves them.
-        """
+    def solved(self, solution: TornSolution, uh: Function, bodies: RigidBodies) -> SolvedContacts:
+        """Return the solution, which has moved the bodies, at contacts and ties. Collective."""
         conditions = contact_rows(self.pairings, self.boundary.nodes.components)
         moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
         opening = (conditions.gap - moved) / conditions.length
-        if bodies is None:
-            bodies = self.bodies_after(solution)
         shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
         for found in self.contacts:

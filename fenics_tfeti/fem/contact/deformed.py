@@ -49,15 +49,11 @@ class DeformedContact:
 def deformed_contact(
     contact: Contact, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    """Measure normals, gaps and penetration in the deformed state. Collective.
+    """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
-    For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
-    conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
-    approximated by four triangles around its centre. The normal at a node is the integral of the
-    deformed facets' normal times the node's shape function, as in `match_contact`, unless the
-    user gave the normal. The gap to a master is measured along it, see
-    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns, if alone
-    along the slave's deformed normal. Ghosts of the displacement are updated.
+    The normal at a node is the integral of the deformed facets' normal times the node's shape
+    function, unless the user gave it. The gap to a master is along it, see
+    `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
     _check_displacement(pairing.surface.boundary.space, displacement)
     displacement.x.scatter_forward()

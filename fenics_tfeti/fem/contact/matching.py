@@ -188,10 +188,7 @@ class ContactSearch:
     def _rigid_bodies(
         self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
     ) -> RigidBodies:
-        """Return the contacts' rigid bodies where nothing has moved. Collective.
-
-        Their nodes are numbered after those of the mesh and of as many bolts.
-        """
+        """Return the rigid bodies, with nodes after those of the mesh and of bolts. Collective."""
         comm, gdim = self._space.mesh.comm, self._space.mesh.geometry.dim
         of_contacts = [found.body for found in contacts if found.body is not None]
         bodies = list(dict.fromkeys([*self.rigid.bodies, *of_contacts]))

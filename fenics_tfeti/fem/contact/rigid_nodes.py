@@ -95,10 +95,7 @@ class RigidNodes:
         return numbers
 
     def master_of(self, rows: ContactRows, name: str) -> RigidBody | None:
-        """Return the rigid body that the master of rows belongs to, if any; check it. Collective.
-
-        The slave is never rigid.
-        """
+        """Return the rigid body of the rows' master, if any; the slave is on none. Collective."""
         if not self.bodies:
             return None
         number = self.numbers_at(rows.nodes)
@@ -134,10 +131,7 @@ class RigidNodes:
         return f"rigid body '{self.bodies[k].name or k}'"
 
     def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
-        """Return rows in terms of the bodies' corners, with their prescribed motion. Collective.
-
-        The displacements of the rows are total ones.
-        """
+        """Return rows in terms of the bodies' corners, with their prescribed motion. Collective."""
         if not self.bodies:
             return rows
         number = self.numbers_at(rows.nodes)
@@ -164,10 +158,7 @@ class RigidNodes:
     def relative_to_unknowns(
         self, displacement: Vector, bodies: RigidBodies, from_here: bool
     ) -> Vector:
-        """Return a displacement (n,) less what is not among the unknowns at rigid nodes.
-
-        Unknowns are total motions, or those from the places of the bodies.
-        """
+        """Return a displacement (n,) less what is not among the unknowns at rigid nodes."""
         if not self.bodies:
             return displacement
         shift = self._state(bodies)[1]
@@ -194,10 +185,7 @@ class RigidNodes:
         return uh
 
     def resultants(self, force: Vector, bodies: RigidBodies) -> Vector:
-        """Return force and moment (bodies, modes) of nodal forces (owned, gdim). Collective.
-
-        Moments are about the reference points where the bodies are.
-        """
+        """Return forces and moments (bodies, modes) on the bodies of nodal forces. Collective."""
         modes = self.bodies[0].modes if self.bodies else 0
         sums = np.zeros((len(self.bodies), modes))
         for total, (frame, on) in zip(sums, self._frames(bodies), strict=True):

@@ -52,11 +52,9 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 
 
 def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
-    """Return E / h of the slave over that of the master; None for node pairs. Collective.
+    """Return E / h of the slave over that of the master, zero of a rigid one. Collective.
 
-    It is zero for a rigid master, which has no stiffness.
-
-    The `nodal_stiffness` says how stiff the bodies are.
+    It is None for node pairs. The `nodal_stiffness` says how stiff the bodies are.
     """
     if not pairing.is_mortar or pairing.master_surface is None:
         return None

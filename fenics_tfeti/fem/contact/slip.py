@@ -105,10 +105,7 @@ def nodal_friction(
 def _law_values(
     space: FunctionSpace, law: FrictionLaw, nodes: Numbers, points: Vector, name: str
 ) -> Vector:
-    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective.
-
-    The nodes (k,) are global ones, at vertices.
-    """
+    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective."""
     ((label, value),) = vars(law).items()
     label = f"{name}: {label}"
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs

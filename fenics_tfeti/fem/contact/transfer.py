@@ -72,10 +72,7 @@ def _gather_solved(
 def expected_contact(
     solved: Sequence[SolvedContact], pairings: Sequence[ContactPairing]
 ) -> ContactGuess:
-    """Transfer forces and gaps to this rank's contact rows of another mesh, contact by contact.
-
-    The pairings are those of the same contacts on the present mesh.
-    """
+    """Transfer forces and gaps to this rank's conditions of the same contacts on another mesh."""
     guesses = [_transfer(*pair) for pair in zip(solved, pairings, strict=True)]
     none = np.zeros(0)
     force = np.concatenate([none, *(force for force, _ in guesses)])

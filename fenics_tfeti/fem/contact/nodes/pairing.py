@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import ContactPair, NodePartners
 from fenics_tfeti.fem.contact.nodes.search import find_partners
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
@@ -47,9 +48,7 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> boo
     if slave.nodes.size:
         partner = cKDTree(master.points).query(slave.points)[1]
         offset = master.points[partner] - slave.points
-        opposite = slave.normal - master.normal[partner]
-        length = np.linalg.norm(opposite, axis=1, keepdims=True)
-        opposite = opposite / np.where(length > 0.0, length, 1.0)
+        opposite = unit(slave.normal - master.normal[partner])
         distances = [
             np.linalg.norm(tangential_part(offset, normal), axis=1)
             for normal in (slave.normal, master.normal[partner], opposite)

@@ -287,10 +287,7 @@ class BodyFrame:
     def terms(
         self, row: Numbers, points: Vector, coefficients: Vector
     ) -> tuple[Numbers, Numbers, Vector]:
-        """Return terms (t,) at points of the body as ones at its corners: row, node, coefficients.
-
-        With barycentric coordinates as weights, each row has one term for each corner.
-        """
+        """Return terms (t,) at points of the body as ones at its corners, one a row and corner."""
         simplex = np.vstack([self.corners.T, np.ones(len(self.corners))])
         weights = np.linalg.solve(simplex, np.vstack([points.T, np.ones(len(points))])).T
         rows, position = np.unique(row, return_inverse=True)
@@ -357,10 +354,7 @@ class RigidBodies:
     def motions_after(
         self, displacements: Sequence[Vector], from_here: bool = False
     ) -> list[Vector]:
-        """Return the motions after displacements of this rank's `subdomains`. Collective.
-
-        Displacements of other subdomains may be before these.
-        """
+        """Return motions after displacements that end with this rank's `subdomains`. Collective."""
         motions = np.zeros((len(self.frames), 3 if self.gdim == 2 else 6))
         position = len(displacements) - sum(len(frame.templates) for frame in self._own)
         for motion, frame in zip(motions[self.comm.rank :: self.comm.size], self._own, strict=True):

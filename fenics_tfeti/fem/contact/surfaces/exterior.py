@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.topology import cell_facets, exterior_cell_facets
@@ -45,8 +46,7 @@ class ExteriorFacets:
 
     def sizes(self) -> Vector:
         """Return the length of the shortest edge of each facet (f,) [m]."""
-        edges = np.roll(self.corners, -1, axis=1) - self.corners
-        sizes: Vector = np.linalg.norm(edges, axis=2).min(axis=1)
+        sizes: Vector = edge_lengths(self.corners).min(axis=1)
         return sizes
 
     def faces(self, comm: MPI.Intracomm) -> Numbers:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.typing import Numbers, Vector
@@ -58,10 +58,7 @@ class SurfaceFacets:
         """
         if self.vertex_normals is not None:
             return self.vertex_normals
-        total, _ = self._integrals
-        length = np.linalg.norm(total, axis=1)
-        units: Vector = total / np.where(length > 0.0, length, 1.0)[:, None]
-        return units
+        return unit(self._integrals[0])
 
     @cached_property
     def _integrals(self) -> tuple[Vector, Vector]:
@@ -96,10 +93,7 @@ class SurfaceFacets:
         return filled
 
     def interpolate(self, values: Vector, x: Vector) -> Vector:
-        """Interpolate nodal values (n, v) at the points of the undeformed surface closest to x.
-
-        They are linear on segments and triangles, or the pieces of facets of degree 2.
-        """
+        """Interpolate nodal values (n, v) on undeformed simplices at their points closest to x."""
         facets, simplices = self.facets, self.facets.simplices()
         places = facets.with_centres(self.points - self.displacement)
         facet, weights = FacetedSurface(places, simplices).closest(x)

@@ -21,6 +21,7 @@ from ufl.domain import extract_domains
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.oriented import (
     corner_normals,
     oriented_facets,
@@ -139,20 +140,14 @@ class Surface:
         return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * self.extent, 0.0, lengths)
 
     def at_corners(self, values: Array) -> Array:
-        """Return values at the corners (f, v, ...) of this rank's facets. Collective.
-
-        The values (k, ...) are those at the nodes that this rank owns.
-        """
+        """Return values (k, ...) at owned nodes at the facets' corners (f, v, ...). Collective."""
         nodes = self.boundary.nodes
         table = np.zeros((nodes.owned, *values.shape[1:]), dtype=values.dtype)
         table[self.local] = values
         return nodes.values_at(table, nodes.to_global(self.vertices))
 
     def sum_of_corners(self, values: Array, ufunc: Any = np.add) -> Array:
-        """Sum values (f, v, ...) of the corners of all ranks' facets at the nodes. Collective.
-
-        The sums (k, ...) are at the nodes that this rank owns; see `NodeMap.sum_at_owners`.
-        """
+        """Sum values (f, v, ...) at corners of facets at their owned nodes (k, ...). Collective."""
         nodes, vertices = self.boundary.nodes, self.vertices
         flat = values.reshape(vertices.size, *values.shape[2:])
         sums = nodes.sum_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
@@ -295,7 +290,7 @@ def tagged_surface(
     integrals = np.concatenate([weighted, sizes], axis=2).reshape(-1, gdim + 1)
     sums = nodes.sum_at_owners(numbers, integrals)[local]
     # of a segment both edges are the segment
-    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).mean(axis=1)
+    edges = edge_lengths(corners).mean(axis=1)
     size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
     normal, area = _normals_and_areas(
         comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
@@ -344,10 +339,7 @@ def _normals_and_areas(
     user_normal: VectorField | None,
     label: str,
 ) -> tuple[Vector, Vector]:
-    """Return unit normals (k, gdim) and the areas (k,) projected along them.
-
-    `weighted` are the integrals of the normal, `facet_area` those of its length.
-    """
+    """Return unit normals and areas (k,) from integrals of the normal and of its length."""
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
     minimum = VANISHING_NORMAL * facet_area
@@ -369,10 +361,7 @@ def _normals_and_areas(
 
 
 def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
-    """Return the weight of the measure as an expression of UFL, checked; None for none.
-
-    Errors are the same on all ranks.
-    """
+    """Return the weight of the measure as an expression of UFL, checked; None for none."""
     if weight is None:
         return None
     if isinstance(weight, int | float | np.number) and not isinstance(weight, bool):
