@@ -181,9 +181,8 @@ class SlaveValues:
 
 def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
-    if not pairings:
-        return ContactRows.none(gdim)
-    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
+    rows = [pairing.rows(number) for number, pairing in enumerate(pairings)]
+    return ContactRows.concatenate([ContactRows.none(gdim), *rows])
 
 
 def row_values(

@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
@@ -55,7 +55,9 @@ def deformed_contact(
     function, unless the user gave it. The gap to a master is along it, see
     `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
-    _check_displacement(pairing.surface.boundary.space, displacement)
+    with raise_collectively(pairing.surface.comm):
+        if not np.isfinite(owned_values(displacement)).all():
+            raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
         return _deformed_obstacle(contact, pairing, displacement)
@@ -112,17 +114,6 @@ def geometry_pass(
     penetration, separation, slip, size = largest.tolist()
     error = max(penetration, separation) / size if size > 0.0 else 0.0
     return GeometryPass(penetration, separation, slip, tilt, max(error, slip, tilt), products)
-
-
-def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
-    with raise_collectively(space.mesh.comm):
-        if displacement.function_space != space:
-            raise InputError(
-                "the displacement is on another function space than the contact's nodes; use one "
-                "space for both"
-            )
-        if not np.isfinite(owned_values(displacement)).all():
-            raise InputError("the displacement is NaN or infinite at some nodes")
 
 
 def _deformed_pairs(

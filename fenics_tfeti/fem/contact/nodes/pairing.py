@@ -25,7 +25,7 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Numbers
 
 _SEPARATE = (
     "The surfaces overlap or the bodies are one: each body needs nodes of its own. Bodies that "
@@ -83,13 +83,18 @@ def match_nodes(
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
     check_facing(slave, paired, angle, name)
     partner = master.points[partner_rows]
-    covered = _covered_facets(slave, paired, partner, name)
+    images = np.full_like(slave.points, np.nan)
+    images[paired] = partner
+    images = slave.at_corners(images)
+    check_not_crossed(slave, images, name)
+    covered = np.isfinite(images).all(axis=(1, 2))
     area = slave.areas(covered, name)
     normal = slave.normal[paired]
     gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
     places = slave.coordinates[paired]
+    chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
     # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * _nodal_chords(slave)[paired]
+    chord = 2.0 * slave.max_of_facets(chords)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
     distance = slave.without_rounding(partners.distance[paired])
     relative = distance / slave.size[paired]
@@ -118,11 +123,6 @@ def match_nodes(
     )
 
 
-def _nodal_chords(slave: Surface) -> Vector:
-    """Return at each node the largest chord height of the slave's facets there. Collective."""
-    return slave.max_of_facets(chord_heights(slave.corners, slave.at_corners(slave.normal))[0])
-
-
 def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partial: bool) -> Numbers:
     """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack.
 
@@ -132,13 +132,3 @@ def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partia
     if not partial or shared.size >= number:
         check_separate(slave, master, name, _SEPARATE)
     return shared
-
-
-def _covered_facets(slave: Surface, paired: Mask, partner: Vector, name: str) -> Mask:
-    """Tell which of this rank's facets have partners at all nodes; check that none cross."""
-    images = np.full_like(slave.points, np.nan)
-    images[paired] = partner
-    images = slave.at_corners(images)
-    check_not_crossed(slave, images, name)
-    covered: Mask = np.isfinite(images).all(axis=(1, 2))
-    return covered

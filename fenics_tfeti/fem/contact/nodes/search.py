@@ -131,10 +131,16 @@ def _mapped(
 def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points, name: str) -> Partners:
     """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
     comm, gdim = slave.comm, slave.normal.shape[1]
+    slave_points, master_points = (
+        np.asarray(points, dtype=float)[:, :gdim] for points in (pairs.slave, pairs.master)
+    )
     with raise_collectively(comm):
-        slave_points, master_points = _point_arrays(pairs, gdim, name)
-    _check_same_on_all_ranks(comm, slave_points, master_points, name)
-
+        if min(slave_points.shape[1], master_points.shape[1]) < gdim:
+            raise InputError(f"{name}: points have two coordinates, those of the mesh have {gdim}")
+    first = comm.bcast((slave_points, master_points))
+    same = all(map(np.array_equal, (slave_points, master_points), first))
+    if not comm.allreduce(same, MPI.LAND):
+        raise InputError(f"{name}: points differ between ranks; give all of them to every rank")
     nodes = slave.gathered_nodes()
     slave_distance, rows = _nearest_points(nodes.points, slave_points)
     master_distance, partner = _nearest_points(master.points, master_points)
@@ -142,7 +148,15 @@ def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points, name: str) -
         ("slave", slave_distance, slave_points, nodes.size[rows]),
         ("master", master_distance, master_points, master.size[partner]),
     ):
-        _check_points_are_nodes(distance, pairs.tolerance * size, points, f"{name}: {side}")
+        limit = pairs.tolerance * size
+        far = distance > limit
+        if far.any():
+            places = first_distances(MPI.COMM_SELF, points[far], distance[far], limit[far])
+            raise InputError(
+                f"{name}: {side} points of {far.sum()} pairs are not nodes of its surface: "
+                f"{places}. Distances are to the nearest node. Take the coordinates from the mesh, "
+                "or raise the tolerance"
+            )
     if bad := first_wrong(
         MPI.COMM_SELF, np.bincount(rows, minlength=len(nodes.points)) > 1, nodes.points
     ):
@@ -202,33 +216,3 @@ def _distance_to_lines(offset: Vector, lines: Vector) -> Vector:
 
 def _chosen(mask: Mask, *columns: Array) -> list[Array]:
     return [column[mask] for column in columns]
-
-
-def _point_arrays(pairs: Points, gdim: int, name: str) -> tuple[Vector, Vector]:
-    """Return the points of slave and master (k, gdim)."""
-    slave, master = (np.asarray(points, dtype=float) for points in (pairs.slave, pairs.master))
-    if min(slave.shape[1], master.shape[1]) < gdim:
-        raise InputError(f"{name}: points have two coordinates, those of the mesh have {gdim}")
-    return slave[:, :gdim], master[:, :gdim]
-
-
-def _check_same_on_all_ranks(
-    comm: MPI.Intracomm, slave_points: Vector, master_points: Vector, name: str
-) -> None:
-    local = (slave_points, master_points)
-    first = comm.bcast(local)
-    same = all(np.array_equal(a, b) for a, b in zip(local, first, strict=True))
-    if not comm.allreduce(same, MPI.LAND):
-        raise InputError(f"{name}: points differ between ranks; give all of them to every rank")
-
-
-def _check_points_are_nodes(distance: Vector, limit: Vector, points: Vector, label: str) -> None:
-    """Check that nodes are near the user's points, the same on all ranks."""
-    far = distance > limit
-    if not far.any():
-        return
-    places = first_distances(MPI.COMM_SELF, points[far], distance[far], limit[far])
-    raise InputError(
-        f"{label} points of {far.sum()} pairs are not nodes of its surface: {places}. Distances "
-        "are to the nearest node. Take the coordinates from the mesh, or raise the tolerance"
-    )
