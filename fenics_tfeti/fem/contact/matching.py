@@ -35,7 +35,7 @@ from fenics_tfeti.fem.contact.description import (
     contact_name,
 )
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
-from fenics_tfeti.fem.contact.nodes.pairing import match_nodes, meshes_match, shared_nodes
+from fenics_tfeti.fem.contact.nodes import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.obstacles.conditions import match_obstacle
 from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
