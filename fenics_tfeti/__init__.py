@@ -31,7 +31,7 @@ _LAZY = {
     "Coulomb": "fenics_tfeti.fem.contact.description",
     "Cylinder": "fenics_tfeti.fem.contact.obstacles.shapes",
     "Exact": "fenics_tfeti.fem.contact.description",
-    "FacetedObstacle": "fenics_tfeti.fem.contact.obstacles.faceted",
+    "FacetedObstacle": "fenics_tfeti.fem.contact.obstacles.shapes",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
     "LinearRows": "fenics_tfeti.fem.contact.description",
     "Mapped": "fenics_tfeti.fem.contact.description",

@@ -38,7 +38,6 @@ from fenics_tfeti.fem.contact.roles import (
 from fenics_tfeti.fem.contact.slip import (
     NodalFriction,
     SlipOrigin,
-    friction_result,
     friction_rows,
     nodal_friction,
 )
@@ -346,7 +345,8 @@ class ContactSet:
         rows: slice,
         sites: slice,
     ) -> ContactResult:
-        pairing, force = found.pairing, solution.normal_force[rows]
+        pairing, friction = found.pairing, found.friction
+        force = solution.normal_force[rows]
         forces, roles = vars(solution.report.contacts[found.number]), found.roles
         return ContactResult(
             pairing.name,
@@ -362,14 +362,7 @@ class ContactSet:
             active=force > 0.0,
             area=pairing.area,
             coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
-            friction=friction_result(
-                found.friction,
-                pairing,
-                solution.tangential_force[sites],
-                solution.slip[sites],
-                solution.sticking[sites],
-                solution.slip_bound[sites],
-            ),
+            friction=None if friction is None else friction.result(solution, sites, pairing.area),
             comm=self.boundary.nodes.comm,
         )
 

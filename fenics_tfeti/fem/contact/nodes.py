@@ -107,7 +107,6 @@ def match_nodes(
     chord = 2.0 * slave.max_of_facets(chords)[paired]
     gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
     distance = slave.without_rounding(partners.distance[paired])
-    relative = distance / slave.size[paired]
     return ContactPairing(
         Terms.of_nodes(slave.nodes[paired], master.nodes[partner_rows]),
         normal,
@@ -122,7 +121,7 @@ def match_nodes(
             angle,
             slave.nodes.size,
             distance,
-            relative,
+            slave.size[paired],
             area[paired],
             float(slave.area[paired].sum()),
         ),

@@ -24,6 +24,7 @@ from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
+from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -54,6 +55,20 @@ class NodalFriction:
     bound: Vector  # slip bounds (k,) [N]; 0 with Coulomb's law
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
+
+    def result(self, solution: TornSolution, sites: slice, area: Vector) -> FrictionResult:
+        """Return what a solution is at these sites, with the areas (k,) of the nodes."""
+        # on the slave forces are against the tangents
+        force, slip = solution.tangential_force[sites], solution.slip[sites]
+        slave_force = -np.einsum("kt,kta->ka", force, self.tangents)
+        return FrictionResult(
+            force=slave_force,
+            traction=slave_force / area[:, None],
+            bound=solution.slip_bound[sites],
+            slip=np.einsum("kt,kta->ka", slip, self.tangents),
+            sticking=solution.sticking[sites],
+            work=np.sum(force * slip, axis=1),
+        )
 
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:
@@ -154,29 +169,3 @@ def friction_rows(
     slip /= tangential.length.reshape(-1, gdim - 1)
     moved = np.concatenate([moved for _, _, moved in sites])
     return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))
-
-
-def friction_result(
-    friction: NodalFriction | None,
-    pairing: ContactPairing,
-    force: Vector,
-    slip: Vector,
-    sticking: Mask,
-    bound: Vector,
-) -> FrictionResult | None:
-    """Return the results of friction at the conditions of a contact; None without friction.
-
-    Forces on the slave are against the tangents (k, gdim - 1) [N], slips along them [m]; conditions
-    stick where the force is below its bound (k,) [N].
-    """
-    if friction is None:
-        return None
-    slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
-    return FrictionResult(
-        force=slave_force,
-        traction=slave_force / pairing.area[:, None],
-        bound=bound,
-        slip=np.einsum("kt,kta->ka", slip, friction.tangents),
-        sticking=sticking,
-        work=np.sum(force * slip, axis=1),
-    )

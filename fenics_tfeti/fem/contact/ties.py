@@ -172,7 +172,7 @@ class _Match:
             self.angle,
             self.nodes.size,
             distance,
-            distance / surface.size.min(initial=np.inf),
+            surface.size.min(initial=np.inf),
             np.nan_to_num(area),
             float(surface.area.sum()),
         )

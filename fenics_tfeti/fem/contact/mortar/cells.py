@@ -162,7 +162,7 @@ def overlapping_cells(
 ) -> Cells:
     """Find the cells of some slave facets, ascending, with all layers of the master."""
     x = slave.coordinates(chosen)
-    chosen_planes = Planes(*(column[chosen] for column in _columns(planes)))
+    chosen_planes = planes.chosen(chosen)
     row, facet = master.candidates(x, chosen_planes, reach[chosen])
     on_slave = chosen_planes.project(np.arange(len(x)), x)[row, :, :-1]
     frames = chosen_planes.project(row, master.facets.coordinates(facet))
@@ -202,10 +202,6 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
             outside &= side >= 0.0
         outside_edge |= outside
     return outside_edge
-
-
-def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:
-    return planes.origin, planes.axes, planes.area, planes.diameter
 
 
 def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vector]:

@@ -146,6 +146,10 @@ class Planes:
         axes = np.stack([first, np.cross(normal, first), normal], axis=1)
         return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
 
+    def chosen(self, rows: Numbers) -> Planes:
+        """Return some of the planes."""
+        return Planes(self.origin[rows], self.axes[rows], self.area[rows], self.diameter[rows])
+
     @property
     def normal(self) -> Vector:
         """Unit normals (f, gdim)."""
