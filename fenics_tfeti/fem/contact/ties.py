@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_separate
-from fenics_tfeti.fem.contact.contact import Conditions
 from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import check_covered
@@ -118,12 +117,12 @@ def tie_surfaces(
     for part in conditions:
         area[np.searchsorted(nodes, part.slave)] = part.area
     components = [
-        Conditions(c.terms, np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), c.area)
+        c.terms.rows(np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), 0)
         for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     return TiedPairing(
         name,
-        ContactRows.concatenate([component.rows(0) for component in components]),
+        ContactRows.concatenate(components),
         nodes,
         slave.coordinates[np.searchsorted(slave.nodes, nodes)],
         area,
