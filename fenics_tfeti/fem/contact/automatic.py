@@ -25,7 +25,7 @@ from fenics_tfeti.fem.contact.mortar.cells import (
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, edge_lengths
-from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
+from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
@@ -111,7 +111,7 @@ def find_contacts(
         if not surfaces and comm.rank == 0:
             warn_user(
                 f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
-                "no contact between them. Where there are gaps, pass a larger distance",
+                "no contact between them. Where there are gaps, pass a larger distance"
             )
     contacts = []
     for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
@@ -145,8 +145,8 @@ def _opposite_facets(
     v, gdim = x.shape[1:]
     reach = facets.sizes() if distance is None else np.full(n, float(distance))
     around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
-    needed = gather_boxes(comm, BoxTree(around) if n else None, gdim)
-    chosen = facets_in_boxes(comm, needed, BoxTree(x) if n else None)
+    needed = comm.allgather(BoxTree(around).boxes())
+    chosen = facets_in_boxes(comm, needed, BoxTree(x))
     number = first_of_rank(comm, n)[0] + np.arange(n)
     columns = (number, facets.body, facets.vertices, x)
     received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
@@ -202,7 +202,7 @@ def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Nu
             warn_user(
                 f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
                 f"contact, because they are connected through facets: the first {names}. Where "
-                "they may touch, tag their surfaces and add a ContactPair",
+                "they may touch, tag their surfaces and add a ContactPair"
             )
     apart: Numbers = opposite[~glued]
     return apart

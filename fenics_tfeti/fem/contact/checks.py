@@ -22,7 +22,7 @@ from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
@@ -73,7 +73,14 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
         thickness = [
             np.sum(normal * size[nodes.values_at(body_of_node, end)], axis=1) for end in ends
         ]
-        _raise_too_deep(comm, pairing, mask, np.minimum(*thickness))
+        depth, points = -pairing.gap[mask], pairing.coordinates[mask, : normal.shape[1]]
+        deepest = comm.allreduce(float(depth.max(initial=0.0)), MPI.MAX)
+        if bad := first_wrong(comm, depth > np.minimum(*thickness), points):
+            raise InputError(
+                f"{pairing.name}: {bad.number} slave nodes are deeper in the master than one of "
+                f"the bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. Surfaces "
+                "that touch face each other: is one of the tags on the far side of its body?"
+            )
 
 
 def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
@@ -91,47 +98,26 @@ def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
     return size
 
 
-def _raise_too_deep(
-    comm: MPI.Intracomm, pairing: ContactPairing, inside: Mask, thickness: Vector
-) -> None:
-    gap = pairing.gap[inside]
-    deepest = comm.allreduce(float((-gap).max(initial=0.0)), MPI.MAX)
-    if bad := first_wrong(
-        comm, -gap > thickness, pairing.coordinates[inside, : pairing.normal.shape[1]]
-    ):
-        raise InputError(
-            f"{pairing.name}: {bad.number} slave nodes are deeper in the master than one of the "
-            f"bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. Surfaces that "
-            "touch face each other: is one of the tags on the far side of its body?"
-        )
-
-
 def check_different_nodes(
     contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
 ) -> None:
     """Check that no slave node is in two contacts with the same master surface or obstacle."""
+    # at an edge of the body a node has two conditions, with normals farther apart than this angle
+    edge_angle = 45.0
     of_master: dict[tuple[int, int], list[ContactPairing]] = {}
     for contact, pairing in zip(contacts, pairings, strict=True):
         of_master.setdefault(_master_key(contact), []).append(pairing)
     for several in of_master.values():
         for a, b in combinations(several, 2):
-            _check_common_nodes(comm, a, b)
-
-
-def _check_common_nodes(comm: MPI.Intracomm, a: ContactPairing, b: ContactPairing) -> None:
-    _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
-    # at an edge of the body a node has two conditions, with normals farther apart than this angle
-    edge_angle = 45.0
-    if bad := first_wrong(
-        comm,
-        angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle,
-        a.coordinates[rows_a, : a.normal.shape[1]],
-    ):
-        raise InputError(
-            f"{a.name} and {b.name} match {bad.number} slave nodes twice with the same master "
-            f"surface or obstacle, the first at {bad.place}: join the two slave surfaces under one "
-            "tag, or separate them"
-        )
+            _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
+            points = a.coordinates[rows_a, : a.normal.shape[1]]
+            same = angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle
+            if bad := first_wrong(comm, same, points):
+                raise InputError(
+                    f"{a.name} and {b.name} match {bad.number} slave nodes twice with the same "
+                    f"master surface or obstacle, the first at {bad.place}: join the two slave "
+                    "surfaces under one tag, or separate them"
+                )
 
 
 def _master_key(contact: Contact) -> tuple[int, int]:

@@ -13,11 +13,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, row_values
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
-from fenics_tfeti.fem.contact.description import (
-    Contact,
-    RigidObstacle,
-    Tie,
-)
+from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import (
     BodyFrame,
     RigidBodies,
@@ -32,20 +28,10 @@ from fenics_tfeti.fem.contact.result import (
     TiedResult,
 )
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
-from fenics_tfeti.fem.contact.roles import (
-    Roles,
-)
-from fenics_tfeti.fem.contact.slip import (
-    NodalFriction,
-    SlipOrigin,
-    friction_rows,
-    nodal_friction,
-)
+from fenics_tfeti.fem.contact.roles import Roles
+from fenics_tfeti.fem.contact.slip import NodalFriction, SlipOrigin, friction_rows, nodal_friction
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.ties import (
-    Preload,
-    TiedPairing,
-)
+from fenics_tfeti.fem.contact.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap

@@ -241,11 +241,7 @@ class ContactSearch:
         return found
 
     def _decide_roles(
-        self,
-        found: ContactSet,
-        index: int,
-        contacts: Sequence[Contact | Tie],
-        stiffness: Vector,
+        self, found: ContactSet, index: int, contacts: Sequence[Contact | Tie], stiffness: Vector
     ) -> ContactSet:
         """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
         comm, entry = self._space.mesh.comm, found.contacts[index]

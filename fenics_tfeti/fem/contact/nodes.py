@@ -91,7 +91,13 @@ def match_nodes(
 
     partner_rows = partners.master[paired]
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
-    _check_facing(slave, paired, angle, name)
+    # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
+    if bad := first_wrong(comm, angle > 120.0, slave.points[paired]):
+        raise InputError(
+            f"{name}: slave and master look the same way at {bad.number} nodes, the first at "
+            f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
+            "one of the tags on the far side of its body?"
+        )
     partner = master.points[partner_rows]
     images = np.full_like(slave.points, np.nan)
     images[paired] = partner
@@ -181,11 +187,7 @@ def _nearest(slave: Surface, master: SurfaceNodes) -> Partners:
 
 
 def _along(
-    slave: Surface,
-    master: SurfaceNodes,
-    direction: VectorField,
-    tolerance: float,
-    name: str,
+    slave: Surface, master: SurfaceNodes, direction: VectorField, tolerance: float, name: str
 ) -> Partners:
     """Pair each slave node with the master node nearest to a line through it. Collective.
 
@@ -229,10 +231,7 @@ def _along(
 
 
 def _mapped(
-    slave: Surface,
-    master: SurfaceNodes,
-    mapping: Callable[[Vector], ArrayLike],
-    name: str,
+    slave: Surface, master: SurfaceNodes, mapping: Callable[[Vector], ArrayLike], name: str
 ) -> Partners:
     """Pair each slave node x with the master node nearest to the user's chi(x). Collective."""
     gdim = slave.normal.shape[1]
@@ -362,12 +361,7 @@ def _check_partners(
 
 
 def _check_one_to_one(
-    slave: Surface,
-    master: SurfaceNodes,
-    partners: Partners,
-    paired: Mask,
-    partial: bool,
-    name: str,
+    slave: Surface, master: SurfaceNodes, partners: Partners, paired: Mask, partial: bool, name: str
 ) -> None:
     """Check that no two slave nodes have the same partner."""
     comm = slave.comm
@@ -400,17 +394,6 @@ def _check_one_to_one(
     )
 
 
-def _check_facing(slave: Surface, paired: Mask, angle: Vector, name: str) -> None:
-    """Check that the slave's normals point against those of the partners, angles in degrees."""
-    # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    if bad := first_wrong(slave.comm, angle > 120.0, slave.points[paired]):
-        raise InputError(
-            f"{name}: slave and master look the same way at {bad.number} nodes, the first at "
-            f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
-            "one of the tags on the far side of its body?"
-        )
-
-
 def _check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
@@ -434,7 +417,7 @@ def _check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
 
     crossings = np.concatenate([ends[crossed], partners[crossed]], axis=1)
     # an edge belongs to two facets: it is listed from its smaller end, and once
-    swap = _comes_before(crossings[:, 1], crossings[:, 0])
+    swap = np.array([b < a for a, b in crossings[:, :2].tolist()], dtype=bool)
     crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
     crossings = np.unique(concatenate_ranks(slave.comm, crossings.reshape(-1, 4 * gdim)), axis=0)
     if not len(crossings):
@@ -447,12 +430,3 @@ def _check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
         f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
         "Correct the points, mapping or direction, or lower the tolerance"
     )
-
-
-def _comes_before(first: Vector, second: Vector) -> Mask:
-    """Compare points row by row, by their first different coordinate."""
-    different = first != second
-    column = np.argmax(different, axis=1)
-    rows = np.arange(len(first))
-    smaller: Mask = first[rows, column] < second[rows, column]
-    return smaller

@@ -78,7 +78,7 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
         f"the deviation of the facets from the curved surfaces, up to {deviation:.3g}: gaps "
         f"between {entry['smallest_gap']:.3g} and {entry['largest_gap']:.3g} decide where the "
         "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
-        "use cells of second order with displacement_space(mesh, degree=2), or finer facets",
+        "use cells of second order with displacement_space(mesh, degree=2), or finer facets"
     )
 
 

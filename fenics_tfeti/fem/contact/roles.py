@@ -119,7 +119,7 @@ def warn_of_roles(name: str, ratio: float) -> None:
             f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
             f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "
             "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
-            "data of the contact belong to the given slave",
+            "data of the contact belong to the given slave"
         )
 
 

@@ -61,21 +61,16 @@ def expected_contact(
     solved: Sequence[SolvedContact], pairings: Sequence[ContactPairing]
 ) -> ContactGuess:
     """Transfer forces and gaps to this rank's conditions of the same contacts on another mesh."""
-    guesses = [_transfer(*pair) for pair in zip(solved, pairings, strict=True)]
-    none = np.zeros(0)
-    force = np.concatenate([none, *(force for force, _ in guesses)])
-    return ContactGuess(force, np.concatenate([none, *(gap for _, gap in guesses)]))
-
-
-def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, Vector]:
-    """Return normal forces [N] and remaining gaps [m]; no force far from all paired nodes."""
-    points = pairing.coordinates[:, : pairing.normal.shape[1]]
-    # the weight is the interpolated share of paired nodes
-    weight, pressure, approach = solved.surface.interpolate(solved.values, points).T
-    near = weight > RELATIVE_ROUNDING
-    weight = np.where(near, weight, 1.0)
-    force = np.where(near, pressure / weight * pairing.area, 0.0)
-    return force, np.where(near, pairing.gap - approach / weight, np.inf)
+    forces, gaps = [np.zeros(0)], [np.zeros(0)]
+    for coarse, pairing in zip(solved, pairings, strict=True):
+        points = pairing.coordinates[:, : pairing.normal.shape[1]]
+        # the weight is the interpolated share of paired nodes; far from all there is no force
+        weight, pressure, approach = coarse.surface.interpolate(coarse.values, points).T
+        near = weight > RELATIVE_ROUNDING
+        weight = np.where(near, weight, 1.0)
+        forces.append(np.where(near, pressure / weight * pairing.area, 0.0))
+        gaps.append(np.where(near, pairing.gap - approach / weight, np.inf))
+    return ContactGuess(np.concatenate(forces), np.concatenate(gaps))
 
 
 def check_coarse(coarse: TornSystem, present: TornSystem, method: str) -> None:

@@ -22,19 +22,11 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.oriented import (
-    corner_normals,
-    oriented_facets,
-    owned_facets,
-)
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.messages import coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.tolerances import (
-    COORDINATE_ROUNDING,
-    RELATIVE_ROUNDING,
-    VANISHING_NORMAL,
-)
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
     cell_facets,
     cell_type,
@@ -310,12 +302,7 @@ def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
 
 
 def _check_facets(
-    boundary: MeshBoundary,
-    facet_tags: Any,
-    tag: int,
-    facets: Indices,
-    middles: Vector,
-    label: str,
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, middles: Vector, label: str
 ) -> None:
     comm = boundary.space.mesh.comm
     number = comm.allreduce(facets.size)
