@@ -214,10 +214,7 @@ def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vect
 
 
 def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
-    """Leave out master facets far behind the slave if the slave is not inside the master there.
-
-    Such are parts of the master on the other side of the slave's body.
-    """
+    """Leave out master facets far behind the slave unless the slave is inside the master there."""
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells

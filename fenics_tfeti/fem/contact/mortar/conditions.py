@@ -251,10 +251,7 @@ def collect_terms(
 def _largest_of_facets(
     slave: SurfaceFacets, master: SurfaceFacets, integrals: FacetIntegrals
 ) -> tuple[Vector, Numbers]:
-    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them.
-
-    The angles are those between the planes of the facets' corners.
-    """
+    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them."""
     facet, opposite_facet = integrals.facet[integrals.pair], integrals.master
     planes, opposite = (
         Planes.of(surface.points[surface.facets.corners]) for surface in (slave, master)
