@@ -333,10 +333,15 @@ class ContactSet:
     ) -> ContactResult:
         pairing, friction = found.pairing, found.friction
         force = solution.normal_force[rows]
-        forces, roles = vars(solution.report.contacts[found.number]), found.roles
+        entry = ContactEntry(
+            **vars(solution.report.contacts[found.number]),
+            pairing=found.undeformed.summary,
+            roles_ratio=found.roles.ratio,
+            roles=found.roles.reason,
+        )
         return ContactResult(
             pairing.name,
-            ContactEntry(**forces, pairing=found.undeformed.summary, **roles.entries()),
+            entry,
             pairing.slave,
             self.dofs(pairing.slave),
             pairing.coordinates,

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -38,10 +37,6 @@ class Roles:
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
     reason: str | None = None  # for the report, see `describe_roles`
     are_decided: bool = False  # from the stiffness of the bodies
-
-    def entries(self) -> dict[str, Any]:
-        """Return the entries of the report."""
-        return {"roles_ratio": self.ratio, "roles": self.reason}
 
 
 def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:

@@ -126,22 +126,17 @@ def _law_values(
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     with raise_collectively(comm):
         if isinstance(value, Function):
-            value = _nodal_values(space, value, nodes, label)
+            source = value.function_space
+            if source.mesh is not space.mesh:
+                raise InputError(f"{label} is a Function on another mesh than the displacement")
+            family, degree, shape = _compat.element_facts(source)
+            if (family, degree) != ("Lagrange", 1) or shape:
+                raise InputError(
+                    f"{label} is a Function of {family} elements of degree {degree} and shape "
+                    f"{shape}; a scalar one of Lagrange elements of degree 1 is expected"
+                )
+            value = value.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
     return scalars_at(comm, value, points, gdim, label, lowest=0.0)
-
-
-def _nodal_values(space: FunctionSpace, function: Function, nodes: Numbers, label: str) -> Vector:
-    source = function.function_space
-    if source.mesh is not space.mesh:
-        raise InputError(f"{label} is a Function on another mesh than the displacement")
-    family, degree, shape = _compat.element_facts(source)
-    if (family, degree) != ("Lagrange", 1) or shape:
-        raise InputError(
-            f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
-            "scalar one of Lagrange elements of degree 1 is expected"
-        )
-    values: Vector = function.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
-    return values
 
 
 def friction_rows(

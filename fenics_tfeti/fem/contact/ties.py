@@ -96,11 +96,13 @@ def tie_surfaces(
     fixed = prescribed_components(slave, prescribed)
     conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
-    largest = int(np.argmax([comm.allreduce(component.slave.size) for component in conditions]))
+    largest = int(
+        np.argmax([comm.allreduce(component.terms.slave.size) for component in conditions])
+    )
     fullest = conditions[largest]
     check_covered(fullest, slave, name)
     _check_together(fullest, slave, name)
-    rows = np.searchsorted(slave.nodes, fullest.slave)
+    rows = np.searchsorted(slave.nodes, fullest.terms.slave)
     gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
     summary = pairing_summary(
         comm,
@@ -112,12 +114,12 @@ def tie_surfaces(
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    nodes = np.unique(np.concatenate([part.slave for part in conditions]))
+    nodes = np.unique(np.concatenate([part.terms.slave for part in conditions]))
     area = np.zeros(nodes.size)
     for part in conditions:
-        area[np.searchsorted(nodes, part.slave)] = part.area
+        area[np.searchsorted(nodes, part.terms.slave)] = part.area
     components = [
-        c.terms.rows(np.tile(axis, (c.slave.size, 1)), np.zeros(c.slave.size), 0)
+        c.terms.rows(np.tile(axis, (c.terms.slave.size, 1)), np.zeros(c.terms.slave.size), 0)
         for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     return TiedPairing(
@@ -134,7 +136,7 @@ def tie_surfaces(
 
 def _check_together(conditions: MortarConditions, slave: Surface, name: str) -> None:
     """Check that surfaces are no farther apart than facets are large: rotations would be held."""
-    rows = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
     distance = np.linalg.norm(conditions.gap, axis=1)
     largest = concatenate_ranks(slave.comm, distance).max(initial=0.0)
     if bad := first_wrong(slave.comm, distance > 0.5 * slave.size[rows], slave.points[rows]):

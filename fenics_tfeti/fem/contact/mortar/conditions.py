@@ -48,11 +48,6 @@ class MortarConditions:
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
     covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
 
-    @property
-    def slave(self) -> Numbers:
-        """Global slave nodes (k,), ascending."""
-        return self.terms.slave
-
 
 def mortar_conditions(
     surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, free: Numbers

@@ -45,7 +45,7 @@ def match_by_mortar(
     check_folds(slave.boundary.nodes, facets, name)
     conditions = mortar_conditions(slave, facets, master, shared)
     check_covered(conditions, slave, name)
-    rows = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
     if facets.weight is not None:
         slave.check_weight(conditions.area, rows, name)
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
@@ -131,7 +131,7 @@ def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
 def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> None:
     """Check that the master covers a part of the slave, and more than slivers. Collective."""
     facets, rows = slave.comm.allreduce(
-        np.array([int(conditions.covered.sum()), conditions.slave.size])
+        np.array([int(conditions.covered.sum()), conditions.terms.slave.size])
     ).tolist()
     if not facets:
         raise InputError(

@@ -330,27 +330,22 @@ def _evaluate_obstacle(
     k, gdim = normal.shape
     if k == 0:  # a user's function may fail for no points
         return np.zeros(0), np.zeros((0, gdim))
-    gap, outward = _split(evaluate(obstacle, points, f"{name}: the obstacle"), name)
-    if outward is None:
-        outward = -normal.T
+    values = evaluate(obstacle, points, f"{name}: the obstacle")
+    try:
+        is_pair = isinstance(values, tuple | list) and len(values) == 2 and np.ndim(values[1]) > 0
+        gap, outward = (
+            np.asarray(part, dtype=float) for part in (values if is_pair else (values, -normal.T))
+        )
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
+        ) from None
     if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
         raise InputError(
             f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
             f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
         )
     return gap, outward[:gdim].T
-
-
-def _split(values: Any, name: str) -> tuple[Vector, Vector | None]:
-    """Split what the function returned into gap and normal; None where it returned no normal."""
-    try:
-        if isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0:
-            return np.asarray(values[0], dtype=float), np.asarray(values[1], dtype=float)
-        return np.asarray(values, dtype=float), None
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
-        ) from None
 
 
 def _radial_gap(
