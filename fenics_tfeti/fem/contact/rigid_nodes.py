@@ -99,11 +99,8 @@ class RigidNodes:
         if not self.bodies:
             return None
         number = self.numbers_at(rows.nodes)
-        place = np.arange(rows.nodes.size) - rows.offsets[rows.row]
-        assert rows.slaves is not None
-        is_slave = place < rows.slaves[rows.row]
         found = np.zeros((2, len(self.bodies) + 1), dtype=bool)
-        found[is_slave.astype(int), number] = True
+        found[rows.on_slave.astype(int), number] = True
         self.nodes.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
         names = [self._name(k) for k in range(len(self.bodies))]
         slaves, masters = ([*np.flatnonzero(row[:-1])] for row in found[::-1])
