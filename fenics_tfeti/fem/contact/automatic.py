@@ -12,17 +12,21 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, warn_user
-from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import Cells, nearest_layers, overlapping_cells
+from fenics_tfeti.fem.contact.mortar.cells import (
+    Cells,
+    MasterTree,
+    nearest_layers,
+    overlapping_cells,
+)
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
+from fenics_tfeti.fem.io.structured import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.fem.user_data import is_number
