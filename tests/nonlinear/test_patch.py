@@ -9,8 +9,15 @@ from finite_strains import pressed_patch, squeezed_block
 from fenics_tfeti import Coulomb
 
 
-@pytest.mark.parametrize("turned", [0.0, 30.0])
-@pytest.mark.parametrize(("confined", "compression"), [(True, 0.4), (False, 0.2)])
+@pytest.mark.parametrize(
+    ("confined", "compression", "turned"),
+    [
+        (True, 0.4, 30.0),
+        (False, 0.2, 0.0),
+        pytest.param(True, 0.4, 0.0, marks=pytest.mark.heavy),
+        pytest.param(False, 0.2, 30.0, marks=pytest.mark.heavy),
+    ],
+)
 def test_uniform_compression(confined, compression, turned):
     scene, force = pressed_patch(compression, confined, turned, newton_rtol=1e-9, subdomain_size=60)
     scene.solve([0.5, 1.0])
@@ -81,7 +88,10 @@ def test_turning_is_no_slip():
     assert np.abs(result.friction.force).max() < 1e-7
 
 
-@pytest.mark.parametrize(("dim", "n", "turned"), [(2, 6, 0.0), (2, 6, 37.0), (3, 2, 37.0)])
+@pytest.mark.parametrize(
+    ("dim", "n", "turned"),
+    [(2, 6, 37.0), (3, 2, 37.0), pytest.param(2, 6, 0.0, marks=pytest.mark.heavy)],
+)
 def test_floating_block(dim, n, turned):
     """Nothing but contact with two planes holds it: its tangents are projected."""
     scene, force = squeezed_block(dim, n, turned=turned, newton_rtol=1e-9, subdomain_size=60)

@@ -43,7 +43,7 @@ def agree(problem):
     [
         (2, 8, "quadrilateral", 1),
         (2, 4, "triangle", 2),
-        (3, 3, "hexahedron", 1),
+        (3, 2, "hexahedron", 1),
         (3, 2, "tetrahedron", 1),
     ],
 )

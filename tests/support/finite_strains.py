@@ -187,12 +187,13 @@ def ironing(
     n: int = 12,
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     stiffness: float = 3.0,
+    depth: float = 0.3,
     **options: Any,
 ) -> Scene:
     """Make half an annulus that its ends press into a block of 4 by 1, and drag along it.
 
-    A load of 1 presses it down by 0.3, each further one drags it by 1.5, its outer radius being
-    0.6. Its stiffness is relative to that of the block.
+    A load of 1 presses it down by the depth, each further one drags it by 1.5, its outer radius
+    being 0.6. Its stiffness is relative to that of the block.
     """
     bodies = [Box((0, 0), (4, 1), (4 * n, n)), Box((10, 0), (11, 1), (2 * n, n // 3))]
     tagged = boxes(comm, bodies, "quadrilateral")
@@ -222,7 +223,7 @@ def ironing(
 
     def set_load(part: float) -> None:
         values = motion.x.array.reshape(-1, 2)
-        values[:, 0], values[:, 1] = 1.5 * max(part - 1.0, 0.0), -0.3 * min(part, 1.0)
+        values[:, 0], values[:, 1] = 1.5 * max(part - 1.0, 0.0), -depth * min(part, 1.0)
 
     return Scene(problem, fem.form(W), set_load)
 

@@ -53,7 +53,7 @@ def test_bolt_in_lug():
     assert np.abs(solutions[1] - solutions[0]).max() < 1e-6 * np.abs(solutions[0]).max()
 
 
-@pytest.mark.parametrize("gdim", [2, 3])
+@pytest.mark.parametrize("gdim", [2, pytest.param(3, marks=pytest.mark.heavy)])
 def test_pile_of_cylinders(gdim):
     """More of the discs is found than has tags, but no more of it touches."""
     name = "pile_of_cylinders" if gdim == 2 else "pile_of_cylinders_3d"

@@ -132,7 +132,7 @@ def test_ball_that_bounces(approach, steps, tmp_path):
 
 
 @pytest.mark.once
-@pytest.mark.parametrize("steps", [40, pytest.param(160, marks=pytest.mark.heavy)])
+@pytest.mark.parametrize("steps", [20, pytest.param(160, marks=pytest.mark.heavy)])
 def test_block_that_slides_to_rest(steps):
     """The way v^2 / (2 mu g). It starts with the stresses of steady sliding, so that it is quiet.
 

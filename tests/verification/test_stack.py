@@ -22,7 +22,8 @@ PRESSURE, WEIGHT = 20e6, 24e4
 CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]
 TOTAL = 1e8  # the scale of the loads [N]
 
-every_case = pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+hexahedra = pytest.param("hexahedron", marks=pytest.mark.heavy)
+tetrahedra = pytest.param("tetrahedron", marks=pytest.mark.heavy)
 
 
 def body_of(cube):
@@ -125,7 +126,7 @@ def assert_statics(scene, problem):
     assert np.abs(forces_on_blocks(scene, problem)).max() <= 1e-8 * TOTAL, "equilibrium"
 
 
-@every_case
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_stack(cell):
     """By the statics of the blocks, and by the problem solved as a whole."""
     scene, problem, uh = solved(cell)
@@ -144,7 +145,7 @@ def test_stack(cell):
     assert 0 < np.count_nonzero(forces) < forces.size
 
 
-@every_case
+@pytest.mark.parametrize("cell", ["hexahedron", tetrahedra])
 def test_uniform_pressure_is_exact(cell):
     """The walls hold the sides: s_zz = -p and s_xx = s_yy = -nu / (1 - nu) p everywhere."""
     _, problem, uh = solved(cell, power=0, weight=0.0)
@@ -158,7 +159,7 @@ def test_uniform_pressure_is_exact(cell):
     np.testing.assert_allclose(uh.x.array, exact.ravel(), atol=1e-8 * np.abs(exact).max())
 
 
-@every_case
+@pytest.mark.parametrize("cell", ["tetrahedron", hexahedra])
 def test_free_columns(cell):
     """Where nothing holds the sides, neighbours cannot press each other, and columns part.
 
