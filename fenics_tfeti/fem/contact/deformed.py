@@ -162,7 +162,7 @@ def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
     A partner is kept unless its distance is more than 1.5 times that of the nearest node: otherwise
     the passes could alternate between two nodes.
     """
-    distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
+    distance, nearest = cKDTree(master.points).query(foot)
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     return np.where(current > 1.5 * distance, nearest, partner)
 

@@ -53,17 +53,14 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> boo
     distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
     master is what is near this rank's slave nodes.
     """
-    distance, tangential = np.zeros((2, 0))
-    partner = np.zeros(0, dtype=np.int64)
-    if slave.nodes.size:
-        partner = cKDTree(master.points).query(slave.points)[1]
-        offset = master.points[partner] - slave.points
-        opposite = unit(slave.normal - master.normal[partner])
-        distances = [
-            np.linalg.norm(tangential_part(offset, normal), axis=1)
-            for normal in (slave.normal, master.normal[partner], opposite)
-        ]
-        tangential, distance = distances[0], np.min(distances, axis=0)
+    partner = cKDTree(master.points).query(slave.points)[1]
+    offset = master.points[partner] - slave.points
+    opposite = unit(slave.normal - master.normal[partner])
+    distances = [
+        np.linalg.norm(tangential_part(offset, normal), axis=1)
+        for normal in (slave.normal, master.normal[partner], opposite)
+    ]
+    tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not slave.comm.allreduce(bool(near.all()), MPI.LAND):
         return False
@@ -300,8 +297,6 @@ def _nearest_points(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
     """
     # the centre of a hexahedron of a grid has eight nearest nodes
     candidates = min(8, len(points))
-    if not len(points) or not len(places):
-        return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
     distances, positions = cKDTree(points).query(places, k=range(1, candidates + 1))
     tie = distances <= distances[:, :1] * (1.0 + RELATIVE_ROUNDING)
     first = np.argmin(np.where(tie, positions, len(points)), axis=1)[:, None]

@@ -65,21 +65,18 @@ def integrate(
     facet are of the same points: constants and, on flat surfaces, linear functions are reproduced.
     The weight (f, v), by default 1, is linear between the corners of the slave's facets.
     """
-    parts = [_no_integrals(slave, master)]
-    if len(slave) and len(master):
-        planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
-        reach = tree.reach(slave, planes)
-        for block in batches(len(slave.pieces), _BLOCK):
-            chosen = np.arange(block.start, block.stop)
-            cells = covering_cells(slave, planes, chosen, tree, reach)
-            parts.append(_integrate_cells(cells, slave, planes, master, weight))
+    planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
+    reach, parts = tree.reach(slave, planes), []
+    count = len(slave.pieces) if len(master) else 0
+    for block in batches(max(count, 1), _BLOCK):
+        chosen = np.arange(block.start, min(block.stop, count))
+        cells = covering_cells(slave, planes, chosen, tree, reach)
+        parts.append(_integrate_cells(cells, slave, planes, master, weight))
     return _join(parts)
 
 
 def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
     """Integrate over whole facets, without a master: the surface takes its place."""
-    if not len(slave):
-        return _no_integrals(slave, slave)
     x = slave.coordinates()
     planes, piece = Planes.of(x), np.arange(len(x))
     flat = planes.project(piece, x)[..., :-1]
@@ -101,16 +98,6 @@ def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
     }
     columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
     return FacetIntegrals(**columns)
-
-
-def _no_integrals(slave: Facets, master: Facets) -> FacetIntegrals:
-    v, gdim = slave.number_of_corners, slave.points.shape[1]
-    t, w = slave.nodes.shape[1], master.nodes.shape[1]
-    values = {"covered": (), "share": (v,), "ones": (v,), "mass": (v, v), "trace": (v, t)}
-    values |= {"gap": (v, gdim), "coupling": (v, w)}
-    arrays: dict[str, Any] = {name: np.zeros((0, *shape)) for name, shape in values.items()}
-    none = np.zeros(0, dtype=np.int64)
-    return FacetIntegrals(facet=none, pair=none, master=none, **arrays)
 
 
 def _integrate_cells(
