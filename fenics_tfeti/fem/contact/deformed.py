@@ -60,7 +60,10 @@ def deformed_contact(
             raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _deformed_obstacle(contact, pairing, displacement)
+        surface, terms, name = pairing.surface, pairing.terms, pairing.name
+        normal, gap, distance, _ = deformed_gaps(contact, name, surface, terms, displacement)
+        new = replace(pairing, normal=normal, gap=gap)
+        return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
         return _deformed_mortar(contact, pairing, displacement)
     return _deformed_pairs(contact, pairing, displacement)
@@ -165,12 +168,3 @@ def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
     distance, nearest = cKDTree(master.points).query(foot)
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     return np.where(current > 1.5 * distance, nearest, partner)
-
-
-def _deformed_obstacle(
-    contact: RigidObstacle, pairing: ContactPairing, displacement: Function
-) -> DeformedContact:
-    surface, terms = pairing.surface, pairing.terms
-    normal, gap, distance, _ = deformed_gaps(contact, pairing.name, surface, terms, displacement)
-    new = replace(pairing, normal=normal, gap=gap)
-    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -117,11 +118,16 @@ class RigidNodes:
             )
         return self.bodies[masters[0]] if masters else None
 
-    def on_surface(self, nodes: Numbers) -> bool:
-        """Tell whether some of this rank's local nodes are on a rigid body. Collective."""
-        if not self.bodies:
+    def on_surface(self, facet_tags: Any, tag: int) -> bool:
+        """Tell whether nodes of facets with a tag are on a rigid body. Collective."""
+        space = self.nodes.space
+        dim = space.mesh.topology.dim - 1
+        # wrong tags are found later
+        is_right = _compat.tags_are_on(facet_tags, space.mesh) and facet_tags.dim == dim
+        if not (self.bodies and is_right):
             return False
-        number = self.nodes.values_at(self.body, self.nodes.to_global(nodes))
+        local = np.asarray(locate_dofs_topological(space, dim, facet_tags.find(tag)))
+        number = self.nodes.values_at(self.body, self.nodes.to_global(local))
         return bool(self.nodes.comm.allreduce(bool((number >= 0).any()), MPI.LOR))
 
     def _name(self, k: int) -> str:
