@@ -40,12 +40,12 @@ from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
 from fenics_tfeti.fem.contact.roles import (
+    EXCHANGE_RATIO,
     Roles,
     describe_roles,
     exchanged,
     may_exchange,
     nodal_stiffness,
-    prefers_exchange,
     roles_ratio,
     warn_of_roles,
 )
@@ -245,7 +245,7 @@ class ContactSearch:
         ratio = roles_ratio(entry.undeformed, stiffness)
         if roles.used is pair and ratio is not None:
             roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
-            if prefers_exchange(pair, ratio):
+            if may_exchange(pair) and ratio > EXCHANGE_RATIO:
                 reason = describe_roles(pair, ratio, exchange=True)
                 self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
                 try:

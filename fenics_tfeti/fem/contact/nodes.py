@@ -134,10 +134,7 @@ def match_nodes(
 
 
 def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partial: bool) -> Numbers:
-    """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack.
-
-    `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
-    """
+    """Return nodes of all ranks on both surfaces; `master` has those near, `number` is of all."""
     shared = concatenate_ranks(slave.comm, slave.nodes[np.isin(slave.nodes, master)])
     if not partial or shared.size >= number:
         check_separate(slave, master, name, _SEPARATE)

@@ -42,10 +42,7 @@ class RigidNodes:
     def of(
         space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody], coordinates: Vector
     ) -> RigidNodes:
-        """Find the nodes of the cells with rigid tags, and check that no others have them.
-
-        The coordinates (dofs, 3) are those of this rank's nodes. Collective.
-        """
+        """Find the nodes of rigid cells, and check that no other cells have them. Collective."""
         nodes, distinct = NodeMap(space), list(dict.fromkeys(rigid.values()))
         x = coordinates[: nodes.owned, : space.mesh.geometry.dim]
         if not rigid:
@@ -103,7 +100,7 @@ class RigidNodes:
         found = np.zeros((2, len(self.bodies) + 1), dtype=bool)
         found[rows.on_slave.astype(int), number] = True
         self.nodes.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
-        names = [self._name(k) for k in range(len(self.bodies))]
+        names = [f"rigid body '{body.name or k}'" for k, body in enumerate(self.bodies)]
         slaves, masters = ([*np.flatnonzero(row[:-1])] for row in found[::-1])
         if slaves:
             raise InputError(
@@ -129,9 +126,6 @@ class RigidNodes:
         local = np.asarray(locate_dofs_topological(space, dim, facet_tags.find(tag)))
         number = self.nodes.values_at(self.body, self.nodes.to_global(local))
         return bool(self.nodes.comm.allreduce(bool((number >= 0).any()), MPI.LOR))
-
-    def _name(self, k: int) -> str:
-        return f"rigid body '{self.bodies[k].name or k}'"
 
     def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
         """Return rows in terms of the bodies' corners, with their prescribed motion. Collective."""

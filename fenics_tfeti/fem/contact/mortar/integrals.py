@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -72,7 +71,13 @@ def integrate(
         chosen = np.arange(block.start, min(block.stop, count))
         cells = covering_cells(slave, planes, chosen, tree, reach)
         parts.append(_integrate_cells(cells, slave, planes, master, weight))
-    return _join(parts)
+    first = np.cumsum([0, *(part.facet.size for part in parts)])
+    columns: dict[str, Any] = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(FacetIntegrals)
+    }
+    columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
+    return FacetIntegrals(**columns)
 
 
 def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
@@ -89,21 +94,13 @@ def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) ->
     return _integrate_cells(cells, slave, planes, slave, weight)
 
 
-def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
-    """Return the integrals of all parts, one part after the other."""
-    first = np.cumsum([0, *(part.facet.size for part in parts)])
-    columns: dict[str, Any] = {
-        column.name: np.concatenate([getattr(part, column.name) for part in parts])
-        for column in fields(FacetIntegrals)
-    }
-    columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
-    return FacetIntegrals(**columns)
-
-
 def _integrate_cells(
     cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
 ) -> FacetIntegrals:
-    cells = _without_slivers(cells, slave, planes)
+    slave_facet = cells.slave // slave.per_facet
+    covered = np.bincount(slave_facet, cells.pair_area(), len(slave))[slave_facet]
+    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)[slave_facet]
+    cells = cells.select_pairs(covered > _NOT_COVERED * whole)
     slave_facet, master_facet = cells.slave // slave.per_facet, cells.master // master.per_facet
     facet, pair = np.unique(slave_facet, return_inverse=True)
     t, w = slave.nodes.shape[1], master.nodes.shape[1]
@@ -159,14 +156,6 @@ def _products(first: Vector, second: Vector) -> Vector:
     lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
     rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)
-
-
-def _without_slivers(cells: Cells, slave: Facets, planes: Planes) -> Cells:
-    """Leave out slave facets of which no more than rounding is covered."""
-    facet = cells.slave // slave.per_facet
-    covered = np.bincount(facet, cells.pair_area(), len(slave))
-    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)
-    return cells.select_pairs(covered[facet] > _NOT_COVERED * whole[facet])
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
