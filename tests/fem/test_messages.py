@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mesh_arrays import grid, mesh_of
 
-from fenics_tfeti.fem.messages import coordinate_order, first_wrong, format_mesh_point
+from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point, first_wrong
 
 POINTS = np.array([[1.0, 2.0], [0.0, 3.0], [1.0, -1.0], [0.0, 5.0]])
 
@@ -33,4 +33,4 @@ def test_no_points_are_none():
 
 def test_digits_are_those_of_the_size_of_the_mesh():
     domain = mesh_of(MPI.COMM_SELF, "quadrilateral", *grid((2, 2)))
-    assert format_mesh_point(domain, np.array([1e-9, 1.0 / 3.0])) == "(0, 0.333333)"
+    assert first_mesh_point(domain, np.array([[2.0, 0.0], [1e-9, 1.0 / 3.0]])) == "(0, 0.333333)"

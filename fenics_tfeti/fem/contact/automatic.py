@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, warn_user
-from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
 from fenics_tfeti.fem.contact.mortar.cells import (
     Cells,
@@ -29,7 +29,7 @@ from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
+from fenics_tfeti.fem.io.structured import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import batches, cell_facets, exterior_cell_facets
 from fenics_tfeti.fem.user_data import is_number
@@ -350,7 +350,7 @@ class ExteriorFacets:
         """Find the facets of this rank's cells that have no neighbour."""
         cell, facet = np.nonzero(exterior_cell_facets(domain))
         nodes = oriented_corners(domain, cell, facet)
-        # the numbers in the input are those of all ranks, see `surface_nodes`
+        # the numbers in the input are those of all ranks, see `_surface_nodes`
         input_numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
         return ExteriorFacets(
             cell_facets(domain)[cell, facet],
