@@ -236,7 +236,7 @@ def redistributed_density(
     with _compat.quiet_compiler():
         forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (fem.assemble_vector(form).array[dofs] for form in forms)
-    touching = [contact for contact in as_contacts(contacts, None) if isinstance(contact, Contact)]
+    touching = [contact for contact in as_contacts(contacts) if isinstance(contact, Contact)]
     first, second = _layers_at(mesh, touching)
     moved, taking = (
         mesh.comm.allreduce(np.bincount(bodies.of_cell, mass * layer, len(bodies.names)), MPI.SUM)

@@ -107,12 +107,10 @@ def as_rigid(rigid: Any) -> dict[int, RigidBody]:
     return {int(tag): body for tag, body in rigid.items()}
 
 
-def as_contacts(
-    contacts: Any, geometry: Exact | None, what: str = "geometry=Exact()"
-) -> list[Contact | Tie]:
+def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
     """Return the contacts and ties as a list: none for None, one for a single one.
 
-    With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
+    `exact` names for messages what measures gaps on the deformed mesh, if anything does.
     """
     kinds = "ContactPair, RigidObstacle, TiedPair, PeriodicPair, BoltPreload or LinearRows"
     if isinstance(contacts, str):
@@ -122,11 +120,11 @@ def as_contacts(
         )
     names = ("contacts", kinds, "contact")
     listed = _listed(contacts, _is_contact, names, kinds)
-    for number, contact in enumerate(listed if geometry is not None else []):
+    for number, contact in enumerate(listed if exact else []):
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
                 f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
-                f"the gap of the mesh, but {what} measures gaps on the deformed mesh. "
+                f"the gap of the mesh, but {exact} measures gaps on the deformed mesh. "
                 "Leave out one of them"
             )
     return listed

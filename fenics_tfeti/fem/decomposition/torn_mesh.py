@@ -7,22 +7,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import scipy.sparse as sp
 
-import ufl
-from dolfinx.fem import FunctionSpace
-
-from fenics_tfeti.fem._compat import CompilerOptions
-from fenics_tfeti.fem.decomposition.assembly import (
-    FormValues,
-    PreparedForms,
-    prepare_forms,
-    same_values,
-)
+from fenics_tfeti.fem.decomposition.assembly import FormValues, PreparedForms, same_values
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.decomposition.partition import (
-    Partitioner,
-    as_subdomains,
-    split_into_subdomains,
-)
 from fenics_tfeti.fem.decomposition.parts import Part, number_parts
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
@@ -31,39 +17,20 @@ from fenics_tfeti.typing import Indices, Vector
 
 
 class TornMesh:
-    """Subdomains of a mesh, by the user's labels of cells or of a size; collective.
+    """Subdomains of a mesh, by their cells; collective.
 
-    Rigid bodies are in none of them. They are assembled again only where something changed.
+    Those of rigid bodies are left out. The others are assembled again only where something changed.
     Coordinates `x` (dofs, 3) are those of the blocked degrees of freedom [m].
     """
 
     def __init__(
-        self,
-        space: FunctionSpace,
-        a: ufl.Form,
-        L: ufl.Form,
-        compiler: CompilerOptions,
-        bodies: Bodies,
-        x: Vector,
-        labels: Sequence[int] | None,
-        size: int,
-        partitioner: Partitioner,
-        timer: Timer,
+        self, forms: PreparedForms, bodies: Bodies, cells: list[Indices], x: Vector, timer: Timer
     ) -> None:
-        self._space, self._bodies, self._timer = space, bodies, timer
-        with timer.phase("compilation"):
-            self.forms = prepare_forms(space, a, L, compiler)
-        with timer.phase("partition"):
-            cells = (
-                split_into_subdomains(space, bodies, size, partitioner)
-                if labels is None
-                else as_subdomains(space.mesh, bodies, labels)
-            )
-            self._cells: list[Indices] = []
-            self._rigid_cells: list[Indices] = []
-            for part in cells:
-                is_rigid = bodies.of_cell[part[0]] >= bodies.deformable
-                (self._rigid_cells if is_rigid else self._cells).append(part)
+        self.forms, self._space, self._bodies, self._timer = forms, forms.space, bodies, timer
+        self._cells, self._rigid_cells = list[Indices](), list[Indices]()
+        for part in cells:
+            is_rigid = bodies.of_cell[part[0]] >= bodies.deformable
+            (self._rigid_cells if is_rigid else self._cells).append(part)
         self.place_nodes(x)
 
     def place_nodes(self, x: Vector) -> None:

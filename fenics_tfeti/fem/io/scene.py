@@ -32,7 +32,7 @@ class Scene:
 
     @property
     def scale(self) -> float:
-        """1, 2 or 5 times a power of ten, by which displacements are at most a tenth of the mesh."""
+        """1, 2 or 5 times a power of ten; with it displacements are a tenth of the mesh at most."""
         largest = float(np.linalg.norm(self.displacement, axis=1).max())
         size = float(np.ptp(self.points, axis=0).max())
         if largest == 0.0:
