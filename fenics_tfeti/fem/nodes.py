@@ -14,7 +14,7 @@ from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.parallel import all_to_all
+from fenics_tfeti.parallel import all_to_all, send_rows
 from fenics_tfeti.typing import Numbers, Vector
 
 Array = NDArray[Any]
@@ -96,11 +96,7 @@ class NodeMap:
         Returned are local numbers and the data that arrive, in the order of ranks.
         """
         owner = np.searchsorted(self._ends, nodes, side="right")
-        order = np.argsort(owner, kind="stable")
-        cuts = np.searchsorted(owner[order], np.arange(1, self.comm.size))
-        columns = [np.split(column[order], cuts) for column in (nodes, *data)]
-        received = all_to_all(self.comm, list(zip(*columns, strict=True)))
-        arrived, *rest = (np.concatenate(column) for column in zip(*received, strict=True))
+        arrived, *rest = send_rows(self.comm, owner, nodes, *data)
         return arrived - self.first, *rest
 
     def sum_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:

@@ -22,14 +22,13 @@ from fenics_tfeti.fem.contact.description import Contact
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.ties.description import Tie
-from fenics_tfeti.fem.decomposition.assembly import prepare_forms
+from fenics_tfeti.fem.decomposition.assembly import TornMesh, prepare_forms
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.decomposition.partition import (
     Partitioner,
     as_subdomains,
     split_into_subdomains,
 )
-from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_contact_stiffness
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, warn_user
-from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
 from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.cells import Cells, nearest_layers, overlapping_cells

@@ -15,10 +15,9 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.cell_graph import cell_graph, components
 from fenics_tfeti.fem.topology import cell_facets, owned_cells, tags_of_cells
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
-from fenics_tfeti.typing import Numbers
+from fenics_tfeti.typing import Indices, Numbers
 
 
 @dataclass(frozen=True)
@@ -142,3 +141,46 @@ def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> li
         )
         names.append(f"body {number}{label} in {box}")
     return names
+
+
+# -- the graph of the cells ---------------------------------------------------------------------
+
+
+def cell_graph(domain: Mesh) -> sp.csr_matrix:
+    """Return the adjacency matrix of the cells that this rank owns, through common facets."""
+    facet_of = cell_facets(domain)
+    owned = owned_cells(domain)
+    facets = facet_of[:owned]
+    incidence = sp.csr_matrix(
+        (
+            np.ones(facets.size, dtype=np.int32),
+            (np.repeat(np.arange(owned), facets.shape[1]), facets.ravel()),
+        ),
+        shape=(owned, int(facet_of.max(initial=-1)) + 1),
+    )
+    graph = (incidence @ incidence.T).tocsr()
+    graph.setdiag(0)
+    graph.eliminate_zeros()
+    return graph
+
+
+def components(graph: sp.csr_matrix, label: Numbers) -> tuple[int, Numbers]:
+    """Return the number of connected components of equal labels, and the component of each cell."""
+    equal = np.repeat(label, np.diff(graph.indptr)) == label[graph.indices]
+    ends = np.append(0, np.cumsum(equal))[graph.indptr]
+    # SciPy would convert other data to float
+    cut = sp.csr_matrix((np.ones(ends[-1]), graph.indices[equal], ends), shape=graph.shape)
+    number, component = connected_components(cut, directed=False)
+    return int(number), component
+
+
+def groups(label: Numbers) -> list[Indices]:
+    """Return the positions of each label, ascending, by ascending label."""
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    cuts = np.flatnonzero(np.diff(label[order])) + 1
+    return [group for group in np.split(order, cuts) if group.size]
+
+
+def connected_groups(graph: sp.csr_matrix, label: Numbers, cells: Indices) -> list[Indices]:
+    """Split cells (n,) into connected components of equal labels."""
+    return [cells[group] for group in groups(components(graph, label)[1])]

@@ -15,8 +15,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bisection import bisect
-from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.decomposition.cell_graph import components, connected_groups, groups
+from fenics_tfeti.fem.decomposition.bodies import Bodies, components, connected_groups, groups
 from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells

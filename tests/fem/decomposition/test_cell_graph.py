@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from fenics_tfeti.fem.decomposition.cell_graph import (
+from fenics_tfeti.fem.decomposition.bodies import (
     cell_graph,
     components,
     connected_groups,
