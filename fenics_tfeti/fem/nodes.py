@@ -14,6 +14,7 @@ from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import global_numbers
 from fenics_tfeti.parallel import all_to_all, send_rows
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -61,8 +62,7 @@ class NodeMap:
 
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
-        numbers = self._map.local_to_global(local.ravel().astype(np.int32))
-        return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+        return global_numbers(self._map, local)
 
     def to_local(self, nodes: Numbers) -> Numbers:
         """Return the local numbers of global nodes (k,) on this rank."""

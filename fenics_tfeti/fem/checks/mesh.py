@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.ties.description import BoltPreload, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
-from fenics_tfeti.fem.topology import exterior_cell_facets
+from fenics_tfeti.fem.topology import exterior_cell_facets, global_numbers
 from fenics_tfeti.parallel import Directory, concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -76,7 +76,6 @@ def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _S
     # dolfinx 0.5 numbers a node anew on ranks whose cells meet there without a common facet;
     # the numbers in the input of the mesh are unique
     numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
-    to_global = domain.geometry.index_map().local_to_global
     return _SurfaceNodes(
         numbers[local],
         domain.geometry.x[local, : domain.geometry.dim],
@@ -84,7 +83,7 @@ def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _S
         np.repeat(cells.shortest_edges(cell), per_facet),
         slave[local],
         master[local],
-        np.asarray(to_global(local.astype(np.int32)), dtype=np.int64),
+        global_numbers(domain.geometry.index_map(), local),
     ).merged()
 
 
@@ -263,7 +262,7 @@ def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Number
     """Sort points into cubic bins, by which they are distributed over the ranks.
 
     Return the key of a bin and the row of a point, for each bin that the point is in or within
-    `reach` of.
+    `reach` of; some twice.
     """
     bins_along_mesh = 64
     number_of_keys = 2**20
@@ -277,14 +276,10 @@ def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Number
         np.floor((x + step - low) / width).astype(np.int64) * primes for step in (-reach, reach)
     ]
     # of the corners of a cube around each point; nearly all cubes are in one bin
-    corners = [
+    first, *others = (
         sum(ends[end][:, axis] for axis, end in enumerate(ends_of_corner)) % number_of_keys
         for ends_of_corner in product((0, 1), repeat=x.shape[1])
-    ]
-    spread = np.any([corner != corners[0] for corner in corners], axis=0)
-    (single,), (multiple,) = np.nonzero(~spread), np.nonzero(spread)
-    rows_of_bins = np.unique(
-        np.concatenate([corner[spread] * len(x) + multiple for corner in corners])
     )
-    keys, rows = np.divmod(rows_of_bins, max(len(x), 1))
-    return np.append(corners[0][single], keys), np.append(single, rows)
+    rows = [np.arange(len(x)), *(np.flatnonzero(corner != first) for corner in others)]
+    corners = zip((first, *others), rows, strict=True)
+    return np.concatenate([corner[row] for corner, row in corners]), np.concatenate(rows)
