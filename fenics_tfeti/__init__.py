@@ -26,13 +26,12 @@ _LAZY = {
     name: f"fenics_tfeti.{module}"
     for module, names in {
         "fem.contact.automatic": "find_contacts",
-        "fem.contact.description": "Along ContactPair Coulomb Exact Mapped Nearest Points "
-        "RigidObstacle TiedPair Tresca",
+        "fem.contact.description": "Along BoltPreload ContactPair Coulomb Exact LinearRows Mapped "
+        "Nearest PeriodicPair Points RigidObstacle TiedPair Tresca",
         "fem.contact.obstacles.faceted": "FacetedObstacle",
         "fem.contact.obstacles.rigid_body": "RigidBody RigidBodyResult",
         "fem.contact.obstacles.shapes": "Cylinder Plane Sphere",
         "fem.contact.result": "BoltResult ContactResult FrictionResult Results TiedResult",
-        "fem.contact.ties.description": "BoltPreload LinearRows PeriodicPair",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",
     }.items()

@@ -15,10 +15,9 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_residual
-from fenics_tfeti.fem.contact.description import Contact
+from fenics_tfeti.fem.contact.description import Contact, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
@@ -227,15 +226,8 @@ class NonlinearContactProblem(SteppedProblem):
         self._check_data()
         if self._torn.torn.has_moved():
             self.reset_slip()
-        elif _are_same(self.contacts, self._torn.data.contacts):
+        elif list(map(id, self.contacts)) == list(map(id, self._torn.data.contacts)):
             self._torn.update_supports(self.bcs)
             return
         self._torn.update(self.bcs, self.contacts)
         self._step = self._step.of_first(len(self._torn.data.touching))
-
-
-def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
-    """Tell whether lists have the same objects."""
-    return len(contacts) == len(others) and all(
-        a is b for a, b in zip(contacts, others, strict=True)
-    )
