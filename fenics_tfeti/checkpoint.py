@@ -63,10 +63,7 @@ class Step:
 
 
 def write_step(
-    path: str | os.PathLike[str],
-    nodes: NodeMap,
-    contacts: Sequence[str],
-    step: Step,
+    path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str], step: Step
 ) -> None:
     """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
 

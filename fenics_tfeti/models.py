@@ -186,10 +186,7 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
 
 
 def redistributed_density(
-    mesh: Mesh,
-    rho: Any,
-    contacts: Sequence[Contact | Tie] | Contact,
-    measure_weight: Any = 1.0,
+    mesh: Mesh, rho: Any, contacts: Sequence[Contact | Tie] | Contact, measure_weight: Any = 1.0
 ) -> fem.Function:
     """Return the density of bodies that have no mass at the nodes of contact surfaces. Collective.
 

@@ -133,9 +133,7 @@ class NonlinearContactProblem(SteppedProblem):
         self._gradients = CellGradients(self.space)
 
     def solve(
-        self,
-        monitor: Monitor | None = None,
-        checkpoint: str | os.PathLike[str] | None = None,
+        self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
     ) -> Function:
         """Find the equilibrium at the present loads and supports, starting from `u`.
 
@@ -189,11 +187,7 @@ class NonlinearContactProblem(SteppedProblem):
         self._refresh()
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
-            self._torn,
-            self.u,
-            self._torn.undeformed.prescribed,
-            self._step.origin,
-            self._gradients,
+            self._torn, self.u, self._torn.undeformed.prescribed, self._step.origin, self._gradients
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])

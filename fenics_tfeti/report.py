@@ -156,10 +156,7 @@ def pairing_table(pairing: Sequence[Mapping[str, Any]], length: str = "m") -> st
     rows += [[_word(entry[key]) for key in _COLUMNS] for entry in pairing]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
-        "  ".join(
-            [row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])],
-        )
-        for row in rows
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
     )
 
 

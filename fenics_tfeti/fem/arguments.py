@@ -15,13 +15,7 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.description import (
-    Contact,
-    ContactPair,
-    Exact,
-    Tie,
-    contact_name,
-)
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, Exact, Tie, contact_name
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 
 

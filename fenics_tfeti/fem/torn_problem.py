@@ -63,12 +63,7 @@ class TornProblem:
     undeformed: ContactSet
 
     def __init__(
-        self,
-        space: FunctionSpace,
-        a: ufl.Form,
-        L: ufl.Form,
-        data: ProblemData,
-        timer: Timer,
+        self, space: FunctionSpace, a: ufl.Form, L: ufl.Form, data: ProblemData, timer: Timer
     ) -> None:
         self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
         with timer.phase("partition"):

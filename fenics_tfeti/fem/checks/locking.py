@@ -56,7 +56,7 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
         if domain.comm.rank == 0:
             warn_user(
                 f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
-                f"{ratio:.4g}: the result is much too stiff. {remedy}",
+                f"{ratio:.4g}: the result is much too stiff. {remedy}"
             )
 
 

@@ -167,10 +167,7 @@ class PreparedForms:
 
 
 def prepare_forms(
-    space: FunctionSpace,
-    a: ufl.Form,
-    L: ufl.Form,
-    compiler: _compat.CompilerOptions | None = None,
+    space: FunctionSpace, a: ufl.Form, L: ufl.Form, compiler: _compat.CompilerOptions | None = None
 ) -> PreparedForms:
     """Check and compile the user's forms on the displacement's space. Collective."""
     exterior = exterior_cell_facets(space.mesh)

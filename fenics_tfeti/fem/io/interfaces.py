@@ -27,12 +27,7 @@ from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.topology import cell_facets, cell_type, global_numbers, owned_cells
-from fenics_tfeti.parallel import (
-    Directory,
-    concatenate_ranks,
-    first_of_rank,
-    raise_collectively,
-)
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 _UNTAGGED = int(np.iinfo(np.int32).min)

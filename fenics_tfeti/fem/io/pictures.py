@@ -222,10 +222,7 @@ def _write(path: Path, picture: bytes) -> None:
 
 
 def _plot(
-    curves: dict[str, tuple[Vector, Vector, str]],
-    xlabel: str,
-    ylabel: str,
-    title: str,
+    curves: dict[str, tuple[Vector, Vector, str]], xlabel: str, ylabel: str, title: str
 ) -> bytes:
     """Draw curves on a figure of its own, as a PNG file; pyplot could change the user's figures."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
