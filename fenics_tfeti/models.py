@@ -96,10 +96,8 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
 
     Parameters
     ----------
-    E : float or UFL expression
-        Young's modulus [Pa].
-    nu : float or UFL expression
-        Poisson's ratio.
+    E, nu : float or UFL expression
+        Young's modulus [Pa] and Poisson's ratio.
 
     Returns
     -------
@@ -130,10 +128,8 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
 
     Parameters
     ----------
-    E : float or UFL expression
-        Young's modulus [Pa].
-    nu : float or UFL expression
-        Poisson's ratio.
+    E, nu : float or UFL expression
+        Young's modulus [Pa] and Poisson's ratio.
 
     Returns
     -------

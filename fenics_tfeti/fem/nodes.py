@@ -126,17 +126,9 @@ class NodeMap:
             return np.arange(self.first, self.first + self.owned, dtype=np.int64)
         nodes = _compat.cell_dofs(self.space)[: cells.size].astype(np.int64)
         number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
-        in_cells = np.zeros(self.size, dtype=bool)
-        in_cells[nodes] = True
-        local = np.flatnonzero(in_cells)
-        lowest = _lowest(nodes, number, self.size)[local]
-        return self.sum_at_owners(self.to_global(local), lowest, np.minimum)
-
-
-def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:
-    """Return the lowest number at each of so many positions; rows (k, v) of numbers ascend."""
-    order = np.argsort(numbers[:, 0])[::-1]
-    lowest = np.zeros(size, dtype=np.int64)
-    # of several values for one position the last one stays
-    lowest[positions[order]] = numbers[order]
-    return lowest
+        lowest = np.full(self.size, -1, dtype=np.int64)
+        order = np.argsort(cells)[::-1]
+        # of several values for one position the last one stays
+        lowest[nodes[order]] = number[order]
+        local = np.flatnonzero(lowest >= 0)
+        return self.sum_at_owners(self.to_global(local), lowest[local], np.minimum)

@@ -118,7 +118,7 @@ class TornProblem:
 
     def _assemble(self, found: ContactSet, release: Callable[[], None] | None = None) -> None:
         """Assemble the subdomains, after which slave and master may be exchanged."""
-        subdomains = self.torn.assemble(release or (lambda: None))
+        subdomains = self.torn.assemble(release)
         found = self._search.with_roles(found, self.data.contacts, subdomains)
         self.undeformed = replace(found, bodies=self.loaded(found.bodies))
 
@@ -168,7 +168,7 @@ class TornProblem:
         forces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        subdomains = self.torn.assemble(lambda: None)
+        subdomains = self.torn.assemble()
         stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
         for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
             if not has_small_strains(s):
@@ -202,7 +202,7 @@ class TornProblem:
 
     def largest_stiffness(self) -> float:
         """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
-        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble(lambda: None)]
+        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble()]
         return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))
 
 

@@ -38,12 +38,8 @@ _ENTRIES = 2**20
 _CELLS = 2**13
 
 
-@dataclass(frozen=True)
-class FormValues:
-    """Copies of the values of the coefficients and constants of a and L, to notice changes."""
-
-    bilinear: list[Vector]
-    linear: list[Vector]
+# copies of the values of the coefficients and constants of a and L, to notice changes
+FormValues = tuple[list[Vector], list[Vector]]
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ class PreparedForms:
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
         with raise_collectively(self.space.mesh.comm):
-            return FormValues(self.bilinear.values(), self.linear.values())
+            return self.bilinear.values(), self.linear.values()
 
     def _stiffnesses(
         self, parts: Sequence[Part], x: Vector
@@ -234,19 +230,20 @@ class TornMesh:
         domain = self._space.mesh
         return not same_values([self._x], [domain.geometry.x], domain.comm)
 
-    def assemble(self, release: Callable[[], None]) -> list[Subdomain]:
+    def assemble(self, release: Callable[[], None] | None = None) -> list[Subdomain]:
         """Assemble what changed: the loads, or all after `release` of what the caller holds."""
         comm, old, new = self._space.mesh.comm, self._values, self.forms.values()
         self._values = None  # after an error all is assembled anew
-        if old is None or not same_values(old.bilinear, new.bilinear, comm):
+        if old is None or not same_values(old[0], new[0], comm):
             self._subdomains = []
-            release()
+            if release is not None:
+                release()
             self._subdomains = self._assembled(None)
             if old is None:
                 # most problems are assembled once
                 for part in self._parts:
                     part.patterns.clear()
-        elif not same_values(old.linear, new.linear, comm):
+        elif not same_values(old[1], new[1], comm):
             self._subdomains = self._assembled(self._subdomains)
         self._values = new
         return self.subdomains

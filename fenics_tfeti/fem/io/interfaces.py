@@ -243,12 +243,10 @@ class _FacetSides:
 
         directory = Directory(mesh.comm, np.unique(facet))
         keys, values = directory.collect(facet.ravel(), np.repeat(cell_tag, facet.shape[1]))
-        limits = np.iinfo(np.int64)
-        low = np.full(directory.keys.size, limits.max)
-        high = np.full(directory.keys.size, limits.min)
-        np.minimum.at(low, directory.position(keys), values)
-        np.maximum.at(high, directory.position(keys), values)
-        cells = np.bincount(directory.position(keys), minlength=directory.keys.size)
+        order = np.lexsort((values, keys))
+        first = np.searchsorted(keys[order], directory.keys)
+        last = np.searchsorted(keys[order], directory.keys, side="right") - 1
+        low, high = values[order[first]], values[order[last]]
         tag = np.full(directory.keys.size, _UNTAGGED, dtype=np.int64)
         keys, values = directory.collect(
             global_numbers(facet_map, tagged.facet_tags.indices),
@@ -256,7 +254,7 @@ class _FacetSides:
         )
         tag[directory.position(keys)] = values
         facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
-        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, cells)
+        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, last - first + 1)
 
 
 def _opened_facets(mesh: Mesh, sides: _FacetSides, openings: Sequence[_Opening]) -> Numbers:
