@@ -56,4 +56,5 @@ def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with needs_fenicsx(f"fenics_tfeti.{name}"):
+        import_module("mpi4py.MPI")  # loads the MPI library that the wheels of dolfinx look for
         return getattr(import_module(_LAZY[name]), name)
