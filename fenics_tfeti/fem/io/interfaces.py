@@ -24,7 +24,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_corners
-from fenics_tfeti.fem.io.structured import TaggedMesh, sorted_tags
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import cell_facets, cell_type, global_numbers, owned_cells
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
