@@ -29,7 +29,7 @@ from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.io.structured import sorted_tags
+from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import batches, cell_facets, exterior_cell_facets
 from fenics_tfeti.fem.user_data import is_number

@@ -23,8 +23,8 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
-from fenics_tfeti.fem.io.structured import TaggedMesh, sorted_tags
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_corners
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import cell_facets, cell_type, global_numbers, owned_cells
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
@@ -121,14 +121,8 @@ def _on_first_side(mesh: Mesh, cell: Numbers, facet: Numbers, opening: _Opening)
 
     The plane's normal points upwards: its largest component is positive.
     """
-    kind, gdim = cell_type(mesh), mesh.geometry.dim
-    nodes = _compat.geometry_cells(mesh)[cell]
-    corners = np.array([corners[:gdim] for corners in kind.facets], dtype=np.int64)[facet]
-    x = mesh.geometry.x[:, :gdim]
-    points = x[np.take_along_axis(nodes, corners, axis=1)]
-    normal = facet_normals(points)
-    inside = x[nodes[:, : kind.vertices]].mean(axis=1) - points.mean(axis=1)
-    normal *= -np.sign(np.sum(normal * inside, axis=1))[:, None]
+    points = mesh.geometry.x[oriented_corners(mesh, cell, facet), : mesh.geometry.dim]
+    normal = corner_normals(points).sum(axis=1)
     every = concatenate_ranks(mesh.comm, normal)
     # the squares add up for both sides
     up = np.linalg.eigh(every.T @ every)[1][:, -1]
