@@ -388,10 +388,7 @@ class ExteriorFacets:
 
 
 def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
-    """Return the pairs (p, 2) of different labels of facets that meet smoothly at an edge (n, k).
-
-    The normals are those of the facets, not of the edges.
-    """
+    """Return pairs (p, 2) of different labels of facets that meet smoothly at edges (n, k)."""
     least_cosine = 0.5
     order = np.lexsort(keys.T)
     keys, normal, label = keys[order], normal[order], label[order]

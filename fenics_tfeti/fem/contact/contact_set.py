@@ -195,10 +195,7 @@ class ContactSet:
         return replace(self, contacts=contacts)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
-        """Return this rank's rigid bodies and shortenings that are unknown, with their loads now.
-
-        The mesh has as many bodies as `first`, the number of the first one here.
-        """
+        """Return this rank's rigid bodies and unknown shortenings, numbered from `first` on."""
         first += len(self.bodies.frames)
         bolts = [p.subdomain(first + k) for k, (_, p) in enumerate(self._preloads)]
         return self.bodies.subdomains(self.from_here) + bolts[self._own_preloads]

@@ -25,10 +25,9 @@ from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -60,7 +59,10 @@ def deformed_contact(
             raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
-        return _deformed_obstacle(contact, pairing, displacement)
+        surface, terms, name = pairing.surface, pairing.terms, pairing.name
+        normal, gap, distance, _ = deformed_gaps(contact, name, surface, terms, displacement)
+        new = replace(pairing, normal=normal, gap=gap)
+        return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
         return _deformed_mortar(contact, pairing, displacement)
     return _deformed_pairs(contact, pairing, displacement)
@@ -93,10 +95,7 @@ def geometry_pass(
     displacement: Function,
     products: int,
 ) -> GeometryPass:
-    """Compare the deformed surfaces with the conditions that they were computed with. Collective.
-
-    The results have the contact forces and their directions, `products` counts applications of F.
-    """
+    """Compare deformed surfaces with the conditions and forces of a solution. Collective."""
     comm = displacement.function_space.mesh.comm
     largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])
     sums = np.zeros(2)
@@ -129,7 +128,12 @@ def _deformed_pairs(
         slave.check_not_folded(pairing.name)
         normal = slave.normal[rows]
     distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
-    partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
+    # a partner is kept unless its distance from where the normal meets the master is more than 1.5
+    # times that of the nearest node: otherwise the passes could alternate between two nodes
+    foot = slave.points[rows] + distance[:, None] * normal
+    closest, nearest = cKDTree(master.points).query(foot)
+    current = np.linalg.norm(master.points[partner] - foot, axis=1)
+    partner = np.where(current > 1.5 * closest, nearest, partner)
     relative = slave.displacement[rows] - master.displacement[partner]
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
     gap = distance + np.sum(relative * normal, axis=1)
@@ -154,23 +158,3 @@ def _deformed_mortar(
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
-
-
-def _opposite(master: SurfaceFacets, partner: Numbers, foot: Vector) -> Numbers:
-    """Return the master nodes nearest to the points where the slave's normals meet the master.
-
-    A partner is kept unless its distance is more than 1.5 times that of the nearest node: otherwise
-    the passes could alternate between two nodes.
-    """
-    distance, nearest = cKDTree(master.points).query(foot) if len(foot) else (foot[:, 0], partner)
-    current = np.linalg.norm(master.points[partner] - foot, axis=1)
-    return np.where(current > 1.5 * distance, nearest, partner)
-
-
-def _deformed_obstacle(
-    contact: RigidObstacle, pairing: ContactPairing, displacement: Function
-) -> DeformedContact:
-    surface, terms = pairing.surface, pairing.terms
-    normal, gap, distance, _ = deformed_gaps(contact, pairing.name, surface, terms, displacement)
-    new = replace(pairing, normal=normal, gap=gap)
-    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))

@@ -10,10 +10,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
+from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.checks import (
     check_depth,
     check_different_nodes,
@@ -41,12 +40,12 @@ from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
 from fenics_tfeti.fem.contact.roles import (
+    EXCHANGE_RATIO,
     Roles,
     describe_roles,
     exchanged,
     may_exchange,
     nodal_stiffness,
-    prefers_exchange,
     roles_ratio,
     warn_of_roles,
 )
@@ -69,7 +68,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Vector
 
 
 class ContactSearch:
@@ -152,27 +151,23 @@ class ContactSearch:
             return Roles(contact, contact)
         if id(contact) not in self._roles:
             roles, tags = Roles(contact, contact), (contact.slave, contact.master)
-            is_rigid = [self.rigid.on_surface(self._nodes_of(contact, tag)) for tag in tags]
+            is_rigid = [self.rigid.on_surface(contact.facet_tags, tag) for tag in tags]
             if is_rigid == [True, False] and may_exchange(contact):
                 reason = "slave and master are exchanged: the given slave is rigid"
                 roles = replace(roles, used=exchanged(contact), reason=reason)
             self._roles[id(contact)] = roles
         return self._roles[id(contact)]
 
-    def _nodes_of(self, contact: ContactPair, tag: int) -> Numbers:
-        """Return this rank's nodes on facets with a tag; wrong tags are found later."""
-        dim, domain = self._space.mesh.topology.dim - 1, self._space.mesh
-        tags = contact.facet_tags
-        if not (_compat.tags_are_on(tags, domain) and tags.dim == dim):
-            return np.zeros(0, dtype=np.int64)
-        facets = tags.find(tag)
-        return np.asarray(locate_dofs_topological(self._space, dim, facets), dtype=np.int64)
-
     def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""
         name = contact_name(tie, number)
         known = next((found.pairing for found in last.ties if found.tie is tie), None)
-        if known is not None and known.still_holds(prescribed):
+        if (
+            known is not None
+            and known.surface is not None
+            and known.prescribed is not None
+            and still_holds(known.surface, prescribed, known.prescribed)
+        ):
             return known
         match tie:
             case TiedPair():
@@ -250,7 +245,7 @@ class ContactSearch:
         ratio = roles_ratio(entry.undeformed, stiffness)
         if roles.used is pair and ratio is not None:
             roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
-            if prefers_exchange(pair, ratio):
+            if may_exchange(pair) and ratio > EXCHANGE_RATIO:
                 reason = describe_roles(pair, ratio, exchange=True)
                 self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
                 try:

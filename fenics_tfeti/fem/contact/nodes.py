@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError, format_point
@@ -31,7 +29,7 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
 from fenics_tfeti.fem.messages import coordinate_order, first_distances, first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.user_data import VectorField, unit_vectors, vectors_at
+from fenics_tfeti.fem.user_data import unit_vectors, vectors_at
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
@@ -53,17 +51,14 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> boo
     distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
     master is what is near this rank's slave nodes.
     """
-    distance, tangential = np.zeros((2, 0))
-    partner = np.zeros(0, dtype=np.int64)
-    if slave.nodes.size:
-        partner = cKDTree(master.points).query(slave.points)[1]
-        offset = master.points[partner] - slave.points
-        opposite = unit(slave.normal - master.normal[partner])
-        distances = [
-            np.linalg.norm(tangential_part(offset, normal), axis=1)
-            for normal in (slave.normal, master.normal[partner], opposite)
-        ]
-        tangential, distance = distances[0], np.min(distances, axis=0)
+    partner = cKDTree(master.points).query(slave.points)[1]
+    offset = master.points[partner] - slave.points
+    opposite = unit(slave.normal - master.normal[partner])
+    distances = [
+        np.linalg.norm(tangential_part(offset, normal), axis=1)
+        for normal in (slave.normal, master.normal[partner], opposite)
+    ]
+    tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     if not slave.comm.allreduce(bool(near.all()), MPI.LAND):
         return False
@@ -139,10 +134,7 @@ def match_nodes(
 
 
 def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partial: bool) -> Numbers:
-    """Return the nodes, on all ranks, that are slave and master, such as the tip of a crack.
-
-    `master` are the master's nodes that may be this rank's slave nodes, `number` is that of all.
-    """
+    """Return nodes of all ranks on both surfaces; `master` has those near, `number` is of all."""
     shared = concatenate_ranks(slave.comm, slave.nodes[np.isin(slave.nodes, master)])
     if not partial or shared.size >= number:
         check_separate(slave, master, name, _SEPARATE)
@@ -165,30 +157,24 @@ def find_partners(
     """Find the partner of each slave node in the way that the user chose. Collective."""
     match partners:
         case Nearest():
-            return _nearest(slave, master)
-        case Along(direction, tolerance):
-            return _along(slave, master, direction, tolerance, name)
+            partner = _nearest_points(master.points, slave.points)[1]
+            offset = master.points[partner] - slave.points
+            distance = np.linalg.norm(tangential_part(offset, slave.normal), axis=1)
+            measure = "along the surface to the nearest master node"
+            return Partners(partner, distance, measure, _REMEDY[0].upper() + _REMEDY[1:])
         case Mapped(mapping):
-            return _mapped(slave, master, mapping, name)
+            label, gdim = f"the mapping of {name}", slave.normal.shape[1]
+            images = vectors_at(slave.comm, mapping, slave.coordinates, gdim, label)
+            distance, partner = _nearest_points(master.points, images)
+            measure = "from the mapped place to the nearest master node"
+            return Partners(partner, distance, measure, f"Correct the mapping, {_REMEDY}")
+        case Along():
+            return _along(slave, master, partners, name)
         case Points():
             return _at_points(slave, master, partners, name)
 
 
-def _nearest(slave: Surface, master: SurfaceNodes) -> Partners:
-    """Pair each slave node with the nearest master node; the distance is along the surface."""
-    partner = _nearest_points(master.points, slave.points)[1]
-    offset = master.points[partner] - slave.points
-    return Partners(
-        partner,
-        np.linalg.norm(tangential_part(offset, slave.normal), axis=1),
-        "along the surface to the nearest master node",
-        _REMEDY[0].upper() + _REMEDY[1:],
-    )
-
-
-def _along(
-    slave: Surface, master: SurfaceNodes, direction: VectorField, tolerance: float, name: str
-) -> Partners:
+def _along(slave: Surface, master: SurfaceNodes, along: Along, name: str) -> Partners:
     """Pair each slave node with the master node nearest to a line through it. Collective.
 
     Only master nodes whose normals point against the slave node's are candidates. If the line meets
@@ -196,8 +182,8 @@ def _along(
     the direction; the tolerance is relative to the size of the slave's facets.
     """
     gdim = slave.normal.shape[1]
-    lines = unit_vectors(slave.comm, direction, slave.coordinates, gdim, f"the direction of {name}")
-    reach = tolerance * slave.size
+    label, reach = f"the direction of {name}", along.tolerance * slave.size
+    lines = unit_vectors(slave.comm, along.direction, slave.coordinates, gdim, label)
     row, node = _near_lines(slave.points, lines, reach, master.points)
     row, node = _chosen(np.sum(slave.normal[row] * master.normal[node], axis=1) < 0.0, row, node)
     offset = master.points[node] - slave.points[row]
@@ -227,21 +213,6 @@ def _along(
         distance,
         "across the direction to the nearest master node that faces the slave",
         f"Correct the direction, {_REMEDY}",
-    )
-
-
-def _mapped(
-    slave: Surface, master: SurfaceNodes, mapping: Callable[[Vector], ArrayLike], name: str
-) -> Partners:
-    """Pair each slave node x with the master node nearest to the user's chi(x). Collective."""
-    gdim = slave.normal.shape[1]
-    images = vectors_at(slave.comm, mapping, slave.coordinates, gdim, f"the mapping of {name}")
-    distance, partner = _nearest_points(master.points, images)
-    return Partners(
-        partner,
-        distance,
-        "from the mapped place to the nearest master node",
-        f"Correct the mapping, {_REMEDY}",
     )
 
 
@@ -300,8 +271,6 @@ def _nearest_points(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
     """
     # the centre of a hexahedron of a grid has eight nearest nodes
     candidates = min(8, len(points))
-    if not len(points) or not len(places):
-        return np.full(len(places), np.inf), np.zeros(len(places), dtype=np.int64)
     distances, positions = cKDTree(points).query(places, k=range(1, candidates + 1))
     tie = distances <= distances[:, :1] * (1.0 + RELATIVE_ROUNDING)
     first = np.argmin(np.where(tie, positions, len(points)), axis=1)[:, None]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -41,10 +42,7 @@ class RigidNodes:
     def of(
         space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody], coordinates: Vector
     ) -> RigidNodes:
-        """Find the nodes of the cells with rigid tags, and check that no others have them.
-
-        The coordinates (dofs, 3) are those of this rank's nodes. Collective.
-        """
+        """Find the nodes of rigid cells, and check that no other cells have them. Collective."""
         nodes, distinct = NodeMap(space), list(dict.fromkeys(rigid.values()))
         x = coordinates[: nodes.owned, : space.mesh.geometry.dim]
         if not rigid:
@@ -102,7 +100,7 @@ class RigidNodes:
         found = np.zeros((2, len(self.bodies) + 1), dtype=bool)
         found[rows.on_slave.astype(int), number] = True
         self.nodes.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
-        names = [self._name(k) for k in range(len(self.bodies))]
+        names = [f"rigid body '{body.name or k}'" for k, body in enumerate(self.bodies)]
         slaves, masters = ([*np.flatnonzero(row[:-1])] for row in found[::-1])
         if slaves:
             raise InputError(
@@ -117,15 +115,17 @@ class RigidNodes:
             )
         return self.bodies[masters[0]] if masters else None
 
-    def on_surface(self, nodes: Numbers) -> bool:
-        """Tell whether some of this rank's local nodes are on a rigid body. Collective."""
-        if not self.bodies:
+    def on_surface(self, facet_tags: Any, tag: int) -> bool:
+        """Tell whether nodes of facets with a tag are on a rigid body. Collective."""
+        space = self.nodes.space
+        dim = space.mesh.topology.dim - 1
+        # wrong tags are found later
+        is_right = _compat.tags_are_on(facet_tags, space.mesh) and facet_tags.dim == dim
+        if not (self.bodies and is_right):
             return False
-        number = self.nodes.values_at(self.body, self.nodes.to_global(nodes))
+        local = np.asarray(locate_dofs_topological(space, dim, facet_tags.find(tag)))
+        number = self.nodes.values_at(self.body, self.nodes.to_global(local))
         return bool(self.nodes.comm.allreduce(bool((number >= 0).any()), MPI.LOR))
-
-    def _name(self, k: int) -> str:
-        return f"rigid body '{self.bodies[k].name or k}'"
 
     def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
         """Return rows in terms of the bodies' corners, with their prescribed motion. Collective."""

@@ -22,7 +22,7 @@ from fenics_tfeti.typing import Vector
 
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
-_EXCHANGE_RATIO = 4.0
+EXCHANGE_RATIO = 4.0
 
 # Estimated condition number of a pair's rows, above which the user is told.
 _LARGE_CONDITION = 20.0
@@ -65,11 +65,6 @@ def may_exchange(contact: ContactPair) -> bool:
     return contact.roles == "auto" and one_sided_data(contact) is None
 
 
-def prefers_exchange(contact: ContactPair, ratio: float) -> bool:
-    """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
-    return may_exchange(contact) and ratio > _EXCHANGE_RATIO
-
-
 def exchanged(contact: ContactPair) -> ContactPair:
     """Return the pair with slave and master exchanged."""
     return replace(contact, slave=contact.master, master=contact.slave)
@@ -94,7 +89,7 @@ def describe_roles(
     The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
     ones.
     """
-    if ratio <= _EXCHANGE_RATIO:
+    if ratio <= EXCHANGE_RATIO:
         return None
     fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
     if exchange:

@@ -14,13 +14,13 @@ from scipy.spatial import cKDTree
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
-from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
+from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
 from fenics_tfeti.fem.contact.mortar.pairing import check_covered
 from fenics_tfeti.fem.contact.obstacles.rigid_body import are_same
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components, still_holds
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
@@ -69,12 +69,6 @@ class TiedPairing:
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
 
-    def still_holds(self, prescribed: Prescribed) -> bool:
-        """Tell whether mortar conditions hold that were found with other supports. Collective."""
-        if self.surface is None or self.prescribed is None:
-            return False
-        return still_holds(self.surface, prescribed, self.prescribed)
-
 
 def tie_surfaces(
     boundary: MeshBoundary, pair: TiedPair, name: str, prescribed: Prescribed
@@ -96,13 +90,19 @@ def tie_surfaces(
     fixed = prescribed_components(slave, prescribed)
     conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
-    largest = int(
-        np.argmax([comm.allreduce(component.terms.slave.size) for component in conditions])
-    )
-    fullest = conditions[largest]
+    sizes = [comm.allreduce(part.terms.slave.size) for part in conditions]
+    fullest = conditions[int(np.argmax(sizes))]
     check_covered(fullest, slave, name)
-    _check_together(fullest, slave, name)
     rows = np.searchsorted(slave.nodes, fullest.terms.slave)
+    # farther apart than facets are large, rotations would be held
+    distance = np.linalg.norm(fullest.gap, axis=1)
+    largest = concatenate_ranks(comm, distance).max(initial=0.0)
+    if bad := first_wrong(comm, distance > 0.5 * slave.size[rows], slave.points[rows]):
+        raise InputError(
+            f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
+            f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
+            "surfaces that lie on each other"
+        )
     gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
     summary = pairing_summary(
         comm,
@@ -119,8 +119,8 @@ def tie_surfaces(
     for part in conditions:
         area[np.searchsorted(nodes, part.terms.slave)] = part.area
     components = [
-        c.terms.rows(np.tile(axis, (c.terms.slave.size, 1)), np.zeros(c.terms.slave.size), 0)
-        for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
+        part.terms.rows(np.tile(axis, (part.area.size, 1)), np.zeros(part.area.size), 0)
+        for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     return TiedPairing(
         name,
@@ -132,19 +132,6 @@ def tie_surfaces(
         slave,
         fixed,
     )
-
-
-def _check_together(conditions: MortarConditions, slave: Surface, name: str) -> None:
-    """Check that surfaces are no farther apart than facets are large: rotations would be held."""
-    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
-    distance = np.linalg.norm(conditions.gap, axis=1)
-    largest = concatenate_ranks(slave.comm, distance).max(initial=0.0)
-    if bad := first_wrong(slave.comm, distance > 0.5 * slave.size[rows], slave.points[rows]):
-        raise InputError(
-            f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
-            f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
-            "surfaces that lie on each other"
-        )
 
 
 @dataclass(frozen=True)
@@ -218,7 +205,11 @@ def preload_rows(
     rows = _rows(match.nodes, match.master, basis, np.identity(gdim), jump)
     preload = Preload(axis, bolt.shortening)
     if bolt.force is not None:
-        body = _closing_body(match.surface, boundary.nodes.total + number, axis)
+        # a node in the middle of the cut that can move along the axis
+        area, points = match.surface.area, match.surface.points
+        sums = match.surface.comm.allreduce(np.append(area @ points, area.sum()))
+        middle, node = sums[None, :-1] / sums[-1], boundary.nodes.total + number
+        body = Subdomain.rigid(np.zeros(gdim), middle, [node], 0, axis[:, None])
         if known is not None and known.body is not None and are_same([known.body], [body]):
             body = known.body
         preload = Preload(axis, None, body, bolt.force)
@@ -226,15 +217,6 @@ def preload_rows(
         size = (along.size, 1)
         rows = rows.with_terms(along, np.repeat(body.nodes, along.size), np.tile(-axis, size))
     return replace(match.pairing(name, "bolt", rows), preload=preload)
-
-
-def _closing_body(surface: Surface, node: int, axis: Vector) -> Subdomain:
-    """Return a body of one node in the middle of a cut that can move along the axis. Collective."""
-    sums = np.append(surface.area @ surface.points, surface.area.sum())
-    sums = surface.comm.allreduce(sums)
-    return Subdomain.rigid(
-        np.zeros(axis.size), sums[None, :-1] / sums[-1], [node], 0, axis[:, None]
-    )
 
 
 def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:

@@ -53,11 +53,7 @@ class MasterTree:
         self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
-        """Return how far before and behind each piece (p,) the master is looked for [m].
-
-        It is `REACH` times the piece's distance from the nodes and centres of the master, and its
-        diameter more.
-        """
+        """Return how far before and behind each piece (p,) the master is looked for [m]."""
         nodes, inverse = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.points[nodes])[0]
         farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -65,21 +64,24 @@ def integrate(
     facet are of the same points: constants and, on flat surfaces, linear functions are reproduced.
     The weight (f, v), by default 1, is linear between the corners of the slave's facets.
     """
-    parts = [_no_integrals(slave, master)]
-    if len(slave) and len(master):
-        planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
-        reach = tree.reach(slave, planes)
-        for block in batches(len(slave.pieces), _BLOCK):
-            chosen = np.arange(block.start, block.stop)
-            cells = covering_cells(slave, planes, chosen, tree, reach)
-            parts.append(_integrate_cells(cells, slave, planes, master, weight))
-    return _join(parts)
+    planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
+    reach, parts = tree.reach(slave, planes), []
+    count = len(slave.pieces) if len(master) else 0
+    for block in batches(max(count, 1), _BLOCK):
+        chosen = np.arange(block.start, min(block.stop, count))
+        cells = covering_cells(slave, planes, chosen, tree, reach)
+        parts.append(_integrate_cells(cells, slave, planes, master, weight))
+    first = np.cumsum([0, *(part.facet.size for part in parts)])
+    columns: dict[str, Any] = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(FacetIntegrals)
+    }
+    columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
+    return FacetIntegrals(**columns)
 
 
 def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
     """Integrate over whole facets, without a master: the surface takes its place."""
-    if not len(slave):
-        return _no_integrals(slave, slave)
     x = slave.coordinates()
     planes, piece = Planes.of(x), np.arange(len(x))
     flat = planes.project(piece, x)[..., :-1]
@@ -92,31 +94,13 @@ def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) ->
     return _integrate_cells(cells, slave, planes, slave, weight)
 
 
-def _join(parts: Sequence[FacetIntegrals]) -> FacetIntegrals:
-    """Return the integrals of all parts, one part after the other."""
-    first = np.cumsum([0, *(part.facet.size for part in parts)])
-    columns: dict[str, Any] = {
-        column.name: np.concatenate([getattr(part, column.name) for part in parts])
-        for column in fields(FacetIntegrals)
-    }
-    columns["pair"] += np.repeat(first[:-1], [part.pair.size for part in parts])
-    return FacetIntegrals(**columns)
-
-
-def _no_integrals(slave: Facets, master: Facets) -> FacetIntegrals:
-    v, gdim = slave.number_of_corners, slave.points.shape[1]
-    t, w = slave.nodes.shape[1], master.nodes.shape[1]
-    values = {"covered": (), "share": (v,), "ones": (v,), "mass": (v, v), "trace": (v, t)}
-    values |= {"gap": (v, gdim), "coupling": (v, w)}
-    arrays: dict[str, Any] = {name: np.zeros((0, *shape)) for name, shape in values.items()}
-    none = np.zeros(0, dtype=np.int64)
-    return FacetIntegrals(facet=none, pair=none, master=none, **arrays)
-
-
 def _integrate_cells(
     cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
 ) -> FacetIntegrals:
-    cells = _without_slivers(cells, slave, planes)
+    slave_facet = cells.slave // slave.per_facet
+    covered = np.bincount(slave_facet, cells.pair_area(), len(slave))[slave_facet]
+    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)[slave_facet]
+    cells = cells.select_pairs(covered > _NOT_COVERED * whole)
     slave_facet, master_facet = cells.slave // slave.per_facet, cells.master // master.per_facet
     facet, pair = np.unique(slave_facet, return_inverse=True)
     t, w = slave.nodes.shape[1], master.nodes.shape[1]
@@ -172,14 +156,6 @@ def _products(first: Vector, second: Vector) -> Vector:
     lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
     rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)
-
-
-def _without_slivers(cells: Cells, slave: Facets, planes: Planes) -> Cells:
-    """Leave out slave facets of which no more than rounding is covered."""
-    facet = cells.slave // slave.per_facet
-    covered = np.bincount(facet, cells.pair_area(), len(slave))
-    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)
-    return cells.select_pairs(covered[facet] > _NOT_COVERED * whole[facet])
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:

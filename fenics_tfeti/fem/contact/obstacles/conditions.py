@@ -5,8 +5,6 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx.fem import Function
@@ -16,7 +14,6 @@ from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.obstacles.shapes import gap_and_normal
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.typing import Vector
 
@@ -41,7 +38,10 @@ def match_obstacle(
     nodal_gap = None
     if facets is not None:
         if displacement is None:
-            nodal_gap = _gaps_of_facets(comm, name, contact, facets)
+            normals = facets.from_corners(facets.normal)
+            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            places = _padded(facets.points)
+            nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
             covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
         terms = one_sided_conditions(slave, facets, covered)
         if facets.weight is not None:
@@ -63,15 +63,6 @@ def match_obstacle(
     gap, angle = slave.without_rounding(gap), angles_between(facing, normal)
     summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=area)
     return ContactPairing(terms, normal, gap, area, name, summary, slave, covered)
-
-
-def _gaps_of_facets(
-    comm: MPI.Intracomm, name: str, contact: RigidObstacle, facets: SurfaceFacets
-) -> Vector:
-    """Return the gaps (n,) at all nodes of this rank's facets. Collective."""
-    normals = facets.from_corners(facets.normal)
-    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return gap_and_normal(comm, contact.obstacle, _padded(facets.points), normals, name)[0]
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

@@ -67,11 +67,9 @@ def _distances(
     nearest, farthest = zip(*(_range(x, low, high) for low, high in boxes), strict=True)
     queries = [np.flatnonzero(part <= np.min(farthest, axis=0)) for part in nearest]
     received = all_to_all(comm, [x[query] for query in queries])
-    answers = [np.zeros(len(part)) for part in received]
-    if len(rows):
-        corners = Facets(points, rows).coordinates()
-        places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
-        answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in received]
+    corners = Facets(points, rows).coordinates()
+    places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
+    answers = [places.query(part)[0] for part in received]
     closest = np.full(len(x), np.inf)
     for query, answer in zip(queries, all_to_all(comm, answers), strict=True):
         closest[query] = np.minimum(closest[query], answer)

@@ -52,10 +52,7 @@ def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
 
 
 def still_holds(surface: Surface, prescribed: Prescribed, mask: Mask) -> bool:
-    """Tell whether mortar conditions hold that were found with other supports. Collective.
-
-    They do if they have no weight and the prescribed components are those of the mask.
-    """
+    """Tell whether mortar conditions of prescribed components (k, gdim) hold. Collective."""
     if surface.boundary.weight is not None:
         return False
     same = np.array_equal(prescribed_components(surface, prescribed), mask)

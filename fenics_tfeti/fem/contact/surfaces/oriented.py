@@ -25,10 +25,7 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
-    """Return the nodes (f, t) of facets on the boundary that this rank owns, oriented outwards.
-
-    They are local nodes of the space, of degree 1 or 2, in the order of `Facets`.
-    """
+    """Return the local nodes (f, t) of owned facets on the boundary, oriented as in `Facets`."""
     domain = space.mesh
     dim, cell = domain.topology.dim, cell_type(domain)
     domain.topology.create_connectivity(dim - 1, dim)

@@ -266,7 +266,14 @@ def tagged_surface(
     domain = space.mesh
     comm, gdim = domain.comm, domain.geometry.dim
     with raise_collectively(comm):
-        _check_tags(domain, facet_tags, label)
+        if not _compat.tags_are_on(facet_tags, domain):
+            raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
+        dim = domain.topology.dim - 1
+        if facet_tags.dim != dim:
+            raise InputError(
+                f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
+                f"dimension {dim}"
+            )
     facets = owned_facets(domain, facet_tags, tag)
     facet_nodes = oriented_facets(space, facets)
     x = boundary.coordinates[facet_nodes, :gdim]
@@ -288,17 +295,6 @@ def tagged_surface(
         comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
     )
     return Surface(boundary, local + nodes.first, normal, area, size, facet_nodes, extent)
-
-
-def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
-    if not _compat.tags_are_on(facet_tags, domain):
-        raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
-    dim = domain.topology.dim
-    if facet_tags.dim != dim - 1:
-        raise InputError(
-            f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
-            f"dimension {dim - 1}"
-        )
 
 
 def _check_facets(
