@@ -44,6 +44,11 @@ class Plane:
     normal : sequence of float
         Normal of the boundary that points out of the obstacle, towards the body; of any length.
 
+    Raises
+    ------
+    InputError
+        If the normal has length zero, or the point has fewer coordinates than the normal.
+
     Examples
     --------
     >>> gap, normal = Plane(point=(0, 0, 0), normal=(0, 0, 2))(np.array([[0.0], [0.0], [0.5]]))
@@ -83,6 +88,11 @@ class Sphere:
         [m].
     hollow : bool
         Whether the body is inside the sphere and the obstacle around it.
+
+    Raises
+    ------
+    InputError
+        If the radius is not positive, or a point is at the centre, where the normal is not defined.
 
     Examples
     --------
@@ -127,6 +137,12 @@ class Cylinder:
         [m].
     hollow : bool
         Whether the body is inside the cylinder and the obstacle around it.
+
+    Raises
+    ------
+    InputError
+        If the axis has length zero, the radius is not positive, or a point is on the axis, where
+        the normal is not defined.
 
     Examples
     --------
@@ -177,6 +193,11 @@ class FacetedObstacle:
         Corners [m].
     facets : (m, gdim) integer array-like
         The corners of each facet, rows of `points`.
+
+    Raises
+    ------
+    InputError
+        If there are no facets, or they have no size or other corners than `points`.
 
     Examples
     --------
