@@ -139,7 +139,7 @@ def two_boxes(comm, first):
     return bodies, [ContactPair(tag_facets(bodies.mesh, sides, bodies.cell_tags), 1, 2)]
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_redistributed_density():
     """The same mass of each body, none at nodes in the contact, and no other cells changed."""
     bodies, contacts = two_boxes(MPI.COMM_WORLD, 4)
@@ -160,7 +160,7 @@ def test_redistributed_density():
             assert abs(mesh.comm.allreduce(fem.assemble_scalar(fem.form(nothing)))) < 1e-20
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_no_cells_for_the_mass_of_those_at_the_contact():
     bodies, contacts = two_boxes(MPI.COMM_WORLD, 1)
     with pytest.raises(InputError, match=r"body 0 in \[0, 1\] x \[0, 1\]: all cells touch contact"):

@@ -30,6 +30,7 @@ def systems(name: str) -> tuple[TornSystem, TornSystem]:
     )
 
 
+@pytest.mark.ranks(2, 3)
 @pytest.mark.parametrize("name", list(BLOCKS))
 def test_same_tangents_as_on_one_rank(name):
     dealt, alone = systems(name)
@@ -64,6 +65,7 @@ def test_same_solution_and_counts_as_on_one_rank(name, options):
         np.testing.assert_allclose(u, expected, rtol=0.0, atol=1e-6 * largest)
 
 
+@pytest.mark.ranks(2, 3)
 def test_ranks_without_subdomains():
     alone = pressed_block()
     parts = alone if COMM.rank == 0 else pressed_block(comm=COMM)

@@ -66,7 +66,7 @@ def test_mass_at_the_contact_makes_energy():
     assert np.count_nonzero(np.diff(np.array(forces) > 0.0)) > 10
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_bars_on_several_ranks():
     """Subdomains, and ranks, change nothing."""
     motion, _, _ = two_bars(12, 1.0, comm=MPI.COMM_WORLD, options={"subdomain_size": 20})

@@ -225,7 +225,7 @@ def stepped(comm, change):
     return problem, problem.solve(), reused
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("change", [softer_and_larger_load, round_floor, added_wall, nothing])
 def test_second_step_is_that_of_one_rank(change):
     problem, uh, reused = stepped(COMM, change)
@@ -238,7 +238,7 @@ def test_second_step_is_that_of_one_rank(change):
     np.testing.assert_allclose(normal_forces(problem), normal_forces(alone), rtol=1e-6, atol=1e-3)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_nan_on_one_rank_is_raised_on_all():
     scene = two_blocks_on_a_floor(COMM)
     problem = new_problem(scene)

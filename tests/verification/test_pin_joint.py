@@ -122,7 +122,7 @@ def test_clearance_below_the_deviation_of_the_facets_is_told():
     assert sum("deviation of the facets" in str(w.message) for w in told) == 2
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize(
     ("exchange", "degree"),
     [(False, 1), (True, 1), pytest.param(True, 2, marks=pytest.mark.heavy)],
@@ -144,7 +144,7 @@ def test_motions_and_pressures_are_those_of_one_rank(exchange, degree):
     assert outcomes[0] == pytest.approx(outcomes[1], rel=1e-3)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_sizes_of_clearance_and_deviation_are_the_same():
     entries = [
         joint_problem(read_joint(2.5, 1, comm), 1)._torn.undeformed.pairings[0].summary

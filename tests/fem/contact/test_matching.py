@@ -262,7 +262,7 @@ def rounded(entry):
     }
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 @pytest.mark.parametrize("way", ARGUMENTS)
 def test_pairs_do_not_depend_on_the_ranks(way):
     ours, entry = gathered(COMM, ARGUMENTS[way])
