@@ -48,8 +48,14 @@ def stretched(mesh, gradient):
 
 
 def components(stress, mesh):
-    rows, columns = stress.ufl_shape
-    return np.array([[mean(stress[i, j], mesh) for j in range(columns)] for i in range(rows)])
+    """Return the means of all components, by one form with a weight."""
+    weight, found = fem.Constant(mesh, np.zeros(stress.ufl_shape)), np.zeros(stress.ufl_shape)
+    form = fem.form(ufl.inner(stress, weight) * ufl.dx(metadata={"quadrature_degree": 2}))
+    for place in np.ndindex(found.shape):
+        weight.value[...] = 0.0
+        weight.value[place] = 1.0
+        found[place] = mesh.comm.allreduce(fem.assemble_scalar(form))
+    return found
 
 
 def hooke(e):

@@ -272,8 +272,9 @@ def in_order(values: np.ndarray, rows: int) -> np.ndarray:
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("method", ["active_set", "smalbe"])
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    ("name", "method"), [("random", "active_set"), ("tied", "smalbe"), ("contact", "active_set")]
+)
 def test_solution_does_not_depend_on_ranks(name, method):
     system, options = SYSTEMS[name](), Options(rtol=1e-8, method=method)
     alone = TornSolver(system, options).solve()

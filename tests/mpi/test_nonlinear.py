@@ -15,7 +15,10 @@ COMM = MPI.COMM_WORLD
 
 @pytest.mark.parametrize(
     ("make", "arguments", "loads"),
-    [(indented_block, (3, 2), [1.0]), (ironing, (Coulomb(0.3), SLIDER, 3), [1.0, 1.05])],
+    [
+        (indented_block, (3, 2), [1.0]),
+        pytest.param(ironing, (Coulomb(0.3), SLIDER, 3), [1.0, 1.05], marks=pytest.mark.heavy),
+    ],
 )
 def test_same_as_on_one_rank(make, arguments, loads):
     options = {"newton_rtol": 1e-8, "subdomain_size": 60}
@@ -29,17 +32,16 @@ def test_same_as_on_one_rank(make, arguments, loads):
     assert abs(scene.counts()[0] - alone.counts()[0]) <= 2
 
 
-def test_tied_patch():
-    scene, force = pressed_patch(
-        0.2, False, 30.0, upper="tied", newton_rtol=1e-9, subdomain_size=60
-    )
+@pytest.mark.parametrize("pair", [{"upper": "tied"}, {"friction": Coulomb(0.3)}], ids=str)
+def test_patch(pair):
+    scene, force = pressed_patch(0.2, False, 30.0, **pair, newton_rtol=1e-9, subdomain_size=60)
     scene.solve([1.0])
     np.testing.assert_allclose(scene.problem.results[0].force, force, atol=1e-7)
 
 
 @pytest.mark.ranks(2, 3)
 def test_floating_block():
-    scene, force = squeezed_block(2, 6, turned=37.0, newton_rtol=1e-9, subdomain_size=60)
+    scene, force = squeezed_block(2, 4, turned=37.0, newton_rtol=1e-9, subdomain_size=60)
     scene.solve([1.0])
     np.testing.assert_allclose(scene.problem.results[0].force, force, atol=1e-8)
 

@@ -93,7 +93,7 @@ def test_nodes_as_near_as_a_thin_gap_are_not_at_the_same_place():
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_boxes_that_touch_are_sound(cell):
     gdim = 3 if "hedron" in cell else 2
     low, high = np.zeros(gdim), np.ones(gdim)
