@@ -28,7 +28,7 @@ def path():
 
 
 def test_run_goes_on(path):
-    mesh = block(COMM, 8)
+    mesh = block(COMM)
     whole = list(run(mesh, path))
     COMM.barrier()
     if COMM.rank == 0:
@@ -51,11 +51,11 @@ def test_run_goes_on_on_other_ranks(path, later):
     """Also on as many ranks, where on three the mesh may be distributed in another way."""
     disc = Disc()
     disc.height = HEIGHTS[-1]
-    problem = block_on_disc(block(COMM, 8), disc)
+    problem = block_on_disc(block(COMM), disc)
     problem.solve()
     problem.advance()
     problem.save(path)
-    again = block_on_disc(block(later, 8), disc)
+    again = block_on_disc(block(later), disc)
     assert again.restore(path) == 1
     again.solve()
     assert len(again.report.passes) == 1 < len(problem.report.passes)
@@ -63,7 +63,7 @@ def test_run_goes_on_on_other_ranks(path, later):
 
 
 def test_wrong_checkpoints_are_refused_on_all_ranks(path):
-    mesh, disc = block(COMM, 8), Disc()
+    mesh, disc = block(COMM), Disc()
     disc.height = HEIGHTS[-1]
     problem = block_on_disc(mesh, disc)
     problem.solve(checkpoint=path)
