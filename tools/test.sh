@@ -29,26 +29,21 @@ options=()
 color=no  # mpirun gives the ranks a terminal even where there is none
 [ -t 1 ] && color=yes
 if "$mpirun" --version | grep -q "Open MPI"; then
-    # ranks that wait for others yield their processor, and where they share one, sleep
     options=(--oversubscribe --mca mpi_yield_when_idle 1)
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
+    if command -v cc >/dev/null; then  # waiting ranks leave their processor to others
+        preload=$(mktemp -d)
+        trap 'rm -rf "$preload"' EXIT
+        cc -O2 -shared -fPIC -o "$preload/waiting_ranks.so" tools/waiting_ranks.c
+        options+=(-x "LD_PRELOAD=$preload/waiting_ranks.so")
+    fi
 fi
-work=$(mktemp -d)
-trap 'rm -rf "$work"' EXIT
-cat >"$work/sleep.c" <<'EOF'
-#include <time.h>
-int sched_yield(void) { return nanosleep(&(struct timespec){.tv_nsec = 20000}, 0); }
-EOF
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
 # Those of tests/mpi, and those marked `ranks` in other files.
 mapfile -t files < <(grep -rl --include="test_*.py" "mark\.ranks" tests)
 for ranks in ${MPI_RANKS:-2 3}; do
     echo "== $1: MPI tests on $ranks ranks"
-    if [ "$ranks" -gt "$(nproc)" ] && command -v cc >/dev/null; then
-        cc -shared -fPIC -o "$work/sleep.so" "$work/sleep.c"
-        export LD_PRELOAD=$work/sleep.so
-    fi
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
         "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
         tests/mpi "${files[@]}" -m "$marks"
