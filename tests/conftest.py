@@ -1,4 +1,4 @@
-"""Which tests run on how many ranks: without the mark ``ranks`` on one."""
+"""On how many ranks a test runs: without the mark ``ranks`` on one, those of tests/mpi on two."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ RANKS = MPI.COMM_WORLD.size
 
 
 def fits(item: pytest.Item) -> bool:
-    """Return whether a test is for this number of ranks; those of tests/mpi are for any."""
+    """Return whether a test is for this number of ranks; those for three are also for more."""
     mark = item.get_closest_marker("ranks")
-    if mark is None:
-        return RANKS == 1 or "mpi" in item.path.parts
-    least = mark.args[0] if mark.args else 1
-    return least <= RANKS <= mark.kwargs.get("most", RANKS)
+    numbers: tuple[int, ...] = (2,) if "mpi" in item.path.parts else (1,)
+    if mark is not None:
+        numbers = mark.args or (1, 2)
+    return min(RANKS, 3) in numbers
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -37,7 +37,7 @@ def factored(monkeypatch):
     return begun
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake(mistake, factored):
     with pytest.raises(fenics_tfeti.ContactError) as raised:
@@ -60,7 +60,7 @@ def test_messages_are_on_the_page():
     assert PAGE.read_text() == page()
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_problem_without_a_mistake_is_solved(factored):
     """Otherwise the mistakes may fail for another reason, and the fixture count nothing."""
     problem = two_beams(COMM, "quadrilateral", 4).problem()
@@ -69,7 +69,7 @@ def test_problem_without_a_mistake_is_solved(factored):
     assert factored
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 @pytest.mark.parametrize("limit", ["smalbe_max_it", "max_products"])
 def test_not_converged_raises_with_the_last_iterate(limit):
     problem = two_beams(COMM, "quadrilateral", 6).problem(

@@ -76,7 +76,7 @@ def places(comm: MPI.Intracomm, cell: str, degree: int) -> dict[int, tuple[float
     return found
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_same_numbers_as_on_one_process(cell, degree):
@@ -88,13 +88,13 @@ def node_map() -> NodeMap:
     return NodeMap(displacement_space(boxes(COMM, BODIES, "triangle").mesh))
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_local_and_global_numbers(nodes):
     local = np.arange(nodes.size)
     np.testing.assert_array_equal(nodes.to_local(nodes.to_global(local)), local)
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_values_at_nodes_of_all_ranks(nodes):
     """Each rank asks for every third node, the last one for none."""
     number = COMM.allreduce(nodes.owned)
@@ -106,7 +106,7 @@ def test_values_at_nodes_of_all_ranks(nodes):
     np.testing.assert_array_equal(found, np.column_stack([asked, asked**2]))
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_values_of_all_ranks_are_summed_at_the_owners(nodes):
     number = COMM.allreduce(nodes.owned)
     rows = np.arange(number)

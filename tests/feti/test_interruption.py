@@ -169,7 +169,7 @@ def test_command_writes_the_last_iterate(tmp_path):
 COLUMN = distributed(column(height=3), COMM)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("method", ["active_set", "smalbe"])
 def test_one_rank_is_interrupted(monkeypatch, method):
     options = Options(rtol=1e-8, method=method)
@@ -189,14 +189,14 @@ def test_one_rank_is_interrupted(monkeypatch, method):
     )
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_set_up_of_one_rank_is_interrupted():
     with pytest.raises(Interrupted) as caught:
         TornSolver(COLUMN, timer=InterruptedTimer("factorisation", interrupt))
     assert caught.value.solution is None
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_interrupted_problem_goes_on(monkeypatch):
     scene = scenes.two_beams(COMM, "hexahedron", 2)
     exact = scene.problem(options={"rtol": 1e-9})
@@ -214,7 +214,7 @@ def test_interrupted_problem_goes_on(monkeypatch):
     assert problem.report.energy == pytest.approx(exact.report.energy, rel=1e-8)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_signal_after_the_solution():
     """While ranks with contact measure the deformed surfaces: the solution is with the error."""
     scene = scenes.pressed_block(COMM, "quadrilateral")

@@ -238,7 +238,7 @@ def test_against_dense_solution(name, method, scaling):
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["guided", "glued", "rigid row", "stacked", "closing"])
 def test_solution_does_not_depend_on_ranks(name):
     system, options = SYSTEMS[name](), Options(rtol=1e-11)
     expected = TornSolver(system, options).solve()

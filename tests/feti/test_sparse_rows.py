@@ -272,8 +272,9 @@ def in_order(values: np.ndarray, rows: int) -> np.ndarray:
 
 
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("method", ["active_set", "smalbe"])
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize(
+    ("name", "method"), [("random", "active_set"), ("tied", "smalbe"), ("contact", "active_set")]
+)
 def test_solution_does_not_depend_on_ranks(name, method):
     system, options = SYSTEMS[name](), Options(rtol=1e-8, method=method)
     alone = TornSolver(system, options).solve()
@@ -299,7 +300,7 @@ def test_solution_does_not_depend_on_ranks(name, method):
     assert found.report.unknowns == alone.report.unknowns | {"torn": found.report.unknowns["torn"]}
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_gram_matrix_is_that_of_all_ranks():
     constraints, _ = build_constraints(distributed(random_system(), COMM))
     numbers, coupling = constraints.layout.numbers, constraints.coupling
@@ -339,7 +340,7 @@ def test_preconditioner_is_that_of_one_rank():
     np.testing.assert_allclose(energy(found, mine), energy(alone, slice(None)), rtol=1e-11)
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_rows_that_one_rank_gives_alone():
     """The others have none, and the last has no subdomain."""
     system = contact_system()
@@ -358,7 +359,7 @@ def test_rows_that_one_rank_gives_alone():
     )
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_rank_that_gives_far_rows_and_holds_none():
     """One body on the first rank; the last one gives rows with infinite gaps."""
     block = cube(2, load=(0.0, 0.0, -1.0))

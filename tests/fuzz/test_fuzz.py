@@ -97,7 +97,7 @@ def notes():
 
 # beside some that are drawn, those with friction that failed once
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("seed", [*range(0, 20, 2), 318, 430, 864, 1760, 7884])
+@pytest.mark.parametrize("seed", [*range(0, 20, 5), 318, 864, 1760, 7884])
 def test_random_problem(seed, notes):
     comm = MPI.COMM_WORLD
     outcome = notes.bcast(solve_case("feti", seed, comm, notes))

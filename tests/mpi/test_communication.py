@@ -15,7 +15,7 @@ from torn import column
 from fenics_tfeti.feti import Options
 
 comm = MPI.COMM_WORLD
-pytestmark = pytest.mark.skipif(comm.size == 1, reason="one rank sends nothing")
+pytestmark = pytest.mark.ranks(2, 3)
 
 sys.path.append(str(Path(__file__).parents[2] / "benchmarks"))
 communication = importlib.import_module("communication")

@@ -15,6 +15,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints, build_constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights
 
 comm = MPI.COMM_WORLD
+pytestmark = pytest.mark.ranks(2, 3)
 CUBES = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 CENTRE, OTHER = 2002002, 2002001  # nodes of eight cubes, and of four of them
 FAR = 4004004  # a node of one cube

@@ -26,16 +26,10 @@ def dealt(system: TornSystem) -> TornSystem:
     return replace(system, subdomains=share, contacts=contacts, comm=COMM)
 
 
-every_gdim = pytest.mark.parametrize("gdim", [2, 3])
-
-
 CASES = [
     (2, {"preconditioner": "lumped", "coarse_solver": "distributed"}),
-    (2, {"preconditioner": "dirichlet", "coarse_solver": "redundant"}),
-    (3, {"preconditioner": "lumped", "coarse_solver": "redundant"}),
-    (3, {"preconditioner": "dirichlet", "coarse_solver": "distributed"}),
-    (2, {"method": "smalbe", "coarse_solver": "redundant"}),
-    (3, {"method": "smalbe", "coarse_solver": "distributed"}),
+    (3, {"preconditioner": "dirichlet", "coarse_solver": "redundant"}),
+    (2, {"method": "smalbe", "coarse_solver": "distributed"}),
 ]
 
 
@@ -57,10 +51,9 @@ def test_same_solution_and_counts_as_on_one_rank(gdim, options):
         np.testing.assert_allclose(u, expected, rtol=0.0, atol=1e-6 * largest)
 
 
-@every_gdim
-def test_directions_satisfy_the_constraints(gdim):
+def test_directions_satisfy_the_constraints():
     """G U = 0, zero on contact rows, and the same on all ranks that hold a row."""
-    setup = TornSolver(dealt(block(gdim))).setup
+    setup = TornSolver(dealt(block(2))).setup
     found, constraints = setup.deflation, setup.constraints
     for alpha in found.basis.T:
         u = found.prolonged(alpha)
@@ -70,9 +63,8 @@ def test_directions_satisfy_the_constraints(gdim):
         np.testing.assert_allclose(constraints.layout.sum(u), multiplicity * u, atol=1e-14)
 
 
-@every_gdim
-def test_deflated_product_vanishes_on_the_directions(gdim):
-    setup = TornSolver(dealt(block(gdim))).setup
+def test_deflated_product_vanishes_on_the_directions():
+    setup = TornSolver(dealt(block(2))).setup
     found, space = setup.deflation, setup.constraints.layout.space
     for alpha in found.basis.T[:5]:
         u = found.prolonged(alpha)

@@ -14,7 +14,6 @@ from demo_runner import run_demo
 comm = MPI.COMM_WORLD
 
 
-@pytest.mark.skipif(comm.size == 1, reason="tests/demos runs all demos on one rank")
 def test_two_beams(tmp_path):
     folder = Path(comm.bcast(str(tmp_path)))
     report = run_demo("two_beams", folder=folder)["report"]
@@ -23,7 +22,7 @@ def test_two_beams(tmp_path):
     comm.barrier()  # rank 0 removes the folder
 
 
-@pytest.mark.once
+@pytest.mark.heavy
 def test_tutorial(tmp_path):
     folder = Path(comm.bcast(str(tmp_path)))
     page = (literate.DOCS / "tutorial.md").read_text()

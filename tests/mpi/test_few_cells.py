@@ -11,6 +11,7 @@ from scenes import TRACTION, Scene, at, plane
 from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_WORLD
+pytestmark = pytest.mark.ranks(2, 3)
 
 
 @pytest.mark.parametrize("divisions", [(1, 2), (1, 1, 2)])

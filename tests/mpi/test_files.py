@@ -39,9 +39,15 @@ def folder():
         shutil.rmtree(path)
 
 
-def solved(on=comm):
+def solution(on):
     problem = scenes.pressed_block(on, "quadrilateral").problem()
     return problem, problem.solve()
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Return a problem of all ranks and its solution."""
+    return solution(comm)
 
 
 def unwritable(folder, name):
@@ -67,24 +73,22 @@ def full_disk():
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_file_that_cannot_be_written(folder, name):
-    problem, uh = solved()
+def test_file_that_cannot_be_written(folder, name, solved):
     for path in unwritable(folder, name):
         with pytest.raises(OSError, match=str(path.parent)):
-            WRITERS[name](path, problem, uh)
+            WRITERS[name](path, *solved)
     comm.barrier()
     assert sorted(p.name for p in folder.iterdir()) == ["file"]
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_full_disk_leaves_the_old_file(folder, name, full_disk):
-    problem, uh = solved()
+def test_full_disk_leaves_the_old_file(folder, name, solved, full_disk):
     if comm.rank == 0:
         (folder / name).write_text("old")
     comm.barrier()
     full_disk()
     with pytest.raises(OSError, match="cannot be written") as raised:
-        WRITERS[name](folder / name, problem, uh)
+        WRITERS[name](folder / name, *solved)
     assert raised.value.filename == str(folder / name)
     comm.barrier()
     assert [p.name for p in folder.iterdir()] == [name]
@@ -92,37 +96,35 @@ def test_full_disk_leaves_the_old_file(folder, name, full_disk):
 
 
 @pytest.mark.parametrize("name", ["result.pvd", "curve.png"])
-def test_full_disk_leaves_no_new_folders(folder, name, full_disk):
-    problem, uh = solved()
+def test_full_disk_leaves_no_new_folders(folder, name, solved, full_disk):
     full_disk()
     with pytest.raises(OSError, match="cannot be written"):
-        WRITERS[name](folder / "new" / "folder" / name, problem, uh)
+        WRITERS[name](folder / "new" / "folder" / name, *solved)
     comm.barrier()
     assert list(folder.iterdir()) == []
 
 
-def test_one_rank_without_space(folder, full_disk):
+def test_one_rank_without_space(folder, solved, full_disk):
     if comm.rank == comm.size - 1:
         full_disk()
-    problem, uh = solved()
     with pytest.raises(OSError, match="is the disk full"):
-        write_fields(folder / "result.pvd", [uh])
+        write_fields(folder / "result.pvd", [solved[1]])
     comm.barrier()
     assert list(folder.iterdir()) == []
 
 
-def test_fields_at_the_place_of_a_folder(folder):
-    _, uh = solved()
+def test_fields_at_the_place_of_a_folder(folder, solved):
     if comm.rank == 0:
         (folder / "result.pvd").mkdir()
     with pytest.raises(OSError, match=r"result.pvd is a folder"):
-        write_fields(folder / "result.pvd", uh)
+        write_fields(folder / "result.pvd", solved[1])
     comm.barrier()
     assert [p.name for p in folder.iterdir()] == ["result.pvd"]
 
 
-def test_only_whole_files_are_left(folder):
-    problem, uh = solved()
+@pytest.mark.ranks(2, 3)
+def test_only_whole_files_are_left(folder, solved):
+    problem, uh = solved
     write_fields(folder / "new" / "result.pvd", [uh])
     problem.report.to_json(folder / "report.json")
     comm.barrier()
@@ -134,7 +136,7 @@ def test_only_whole_files_are_left(folder):
 
 
 def test_problems_on_one_rank_each_write_their_reports(folder):
-    problem, _ = solved(MPI.COMM_SELF)
+    problem, _ = solution(MPI.COMM_SELF)
     path = folder / f"report{comm.rank}.json"
     problem.report.to_json(path)
     assert json.loads(path.read_text())["ranks"] == 1

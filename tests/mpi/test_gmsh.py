@@ -39,9 +39,8 @@ def test_all_ranks_together_hold_the_mesh_of_the_file(two_beams):
 def test_volumes_and_areas_do_not_depend_on_the_ranks(two_beams):
     dx = ufl.Measure("dx", domain=two_beams.mesh, subdomain_data=two_beams.cell_tags)
     ds = ufl.Measure("ds", domain=two_beams.mesh, subdomain_data=two_beams.facet_tags)
-    measures = [dx(1), dx(2), *(ds(tag) for tag in (3, 4, 5, 6, 7)), ds]
-    sizes = [integral(two_beams.mesh, measure) for measure in measures]
-    assert sizes == pytest.approx([2, 2, 1, 1, 1, 1, 3, 20])
+    sizes = [integral(two_beams.mesh, measure) for measure in (dx(1), dx(2), ds(5), ds(7), ds)]
+    assert sizes == pytest.approx([2, 2, 1, 3, 20])
 
 
 def test_wrong_dimension_is_an_error_on_all_ranks():
@@ -53,7 +52,7 @@ def test_all_ranks_know_the_names(two_beams):
     assert two_beams.names["contact_upper"] == 5
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "triangle", "hexahedron", "tetrahedron"])
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
 def test_boxes_do_not_depend_on_the_ranks(cell):
     gdim = 3 if "hedron" in cell else 2
     low, high, grid = (0, 0, 0)[:gdim], (2, 1, 1)[:gdim], (4, 3, 2)[:gdim]

@@ -46,6 +46,7 @@ def test_any_strain(degree):
     assert np.abs(difference - difference[0]).max() < 1e-11
 
 
+@pytest.mark.ranks(2, 3)
 def test_rows_with_masters_of_other_ranks():
     """Those of the vertical pair of a cell, each rank those of its slaves."""
     scene = homogeneous_cell("quadrilateral", np.diag([0.0, -1e-3]), comm=COMM)

@@ -9,7 +9,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved, uneven
-from mortar_feet import FOOT, TABLE, foot_on_table
+from mortar_feet import TABLE, foot_on_table
 
 import ufl
 
@@ -19,9 +19,8 @@ from fenics_tfeti.parallel import concatenate_ranks
 COMM = MPI.COMM_WORLD
 CASES = {
     "triangle": Blocks("triangle", 6, 8, width=0.63),
-    "tetrahedron": Blocks("tetrahedron", 4, 5, width=0.63, jitter=0.2),
+    "tetrahedron": Blocks("tetrahedron", 3, 4, width=0.63, jitter=0.2),
     "hexahedron": Blocks("hexahedron", 3, 4, jitter=0.05),
-    "triangle of degree 2": Blocks("triangle", 6, 8, width=0.63, degree=2),
     "tetrahedron of degree 2": Blocks("tetrahedron", 2, 3, jitter=0.2, degree=2),
 }
 
@@ -41,7 +40,7 @@ def by_place(problem):
     return {name: getattr(contact, name)[order] for name in names}
 
 
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron", "tetrahedron of degree 2"])
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron of degree 2"])
 def test_uneven_load(cell):
     """Curved upper block under half a load: gaps, normals and active sets vary."""
     here, alone = uneven(CASES[cell], COMM), uneven(CASES[cell], MPI.COMM_SELF)
@@ -61,20 +60,20 @@ def test_uneven_load(cell):
     )
 
 
-@pytest.mark.parametrize("roles", ["auto", "given"])
-def test_roles_are_those_of_one_rank(roles):
+def test_roles_are_those_of_one_rank():
     """The fine upper surface, given as slave, has the larger E / h."""
-    blocks, pair = Blocks("quadrilateral", 4, 24), {"roles": roles}
+    blocks, pair = Blocks("quadrilateral", 4, 24), {"roles": "auto"}
     problems = [uneven(blocks, comm, UPPER, pair) for comm in (COMM, MPI.COMM_SELF)]
     found, alone = (problem.report.contacts[0] for problem in problems)
     assert found.roles == alone.roles
-    assert ("are exchanged" in found.roles) == (roles == "auto")
-    assert found.pairing["slave"] == alone.pairing["slave"] == (LOWER if roles == "auto" else UPPER)
+    assert "are exchanged" in found.roles
+    assert found.pairing["slave"] == alone.pairing["slave"] == LOWER
     sides = [problem.report.contacts[0].force for problem in problems]
     np.testing.assert_allclose(*sides, rtol=1e-5, atol=1e-6 * np.abs(sides).max())
     assert sides[0][1] > 0.0
 
 
+@pytest.mark.ranks(2, 3)
 def test_rows_are_at_the_owners_of_slave_nodes():
     problem = uneven(CASES["triangle"], COMM)
     first, last = problem.space.dofmap.index_map.local_range
@@ -109,11 +108,10 @@ def test_tied_blocks():
     np.testing.assert_allclose(force, expected, atol=1e-6 * np.abs(expected).max())
 
 
-@pytest.mark.parametrize("slave", [TABLE, FOOT], ids=["table", "foot"])
-def test_barely_covered_nodes(slave):
+def test_barely_covered_nodes():
     """Facets at nodes beside the foot belong to several ranks."""
     here, alone = (
-        by_place(foot_on_table("hexahedron", (8, 6), 0.03, slave, comm))
+        by_place(foot_on_table("hexahedron", (8, 6), 0.03, TABLE, comm))
         for comm in (COMM, MPI.COMM_SELF)
     )
     for name in ("coordinates", "area", "coverage", "pressure"):

@@ -9,15 +9,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from pairwise import pairwise
 from stiff_half import stiff_half
 from torn import Glued
 
 from fenics_tfeti.feti import Options, TornSolution, TornSolver
 
 COMM = MPI.COMM_WORLD
-each_jump = pytest.mark.parametrize("jump", [1e6, 1e8])
-each_kind = pytest.mark.parametrize("pressed", [False, True], ids=["clamped", "pressed"])
+JUMP = 1e8
 
 
 @lru_cache(maxsize=None)
@@ -26,27 +24,28 @@ def solution(jump: float, pressed: bool, **options: Any) -> TornSolution:
 
 
 @pytest.mark.parametrize(
-    ("preconditioner", "jump", "pressed"),
-    pairwise(["lumped", "dirichlet", "none"], [1e6, 1e8], [False, True]),
+    ("preconditioner", "pressed"), [("lumped", False), ("dirichlet", True), ("none", True)]
 )
-def test_products_do_not_depend_on_the_jump(jump, pressed, preconditioner):
+def test_products_do_not_depend_on_the_jump(preconditioner, pressed):
     counts = [
-        solution(size, pressed, preconditioner=preconditioner).report.products["total"]
-        for size in (jump, 1e2)
+        solution(jump, pressed, preconditioner=preconditioner).report.products["total"]
+        for jump in (JUMP, 1e2)
     ]
     assert counts[0] <= 1.2 * counts[1] + 2
 
 
-@pytest.mark.parametrize("options", [{"method": "smalbe"}, {"coarse_solver": "iterative"}], ids=str)
-@each_kind
+@pytest.mark.parametrize(
+    ("pressed", "options"),
+    [(False, {"method": "smalbe"}), (True, {"coarse_solver": "iterative"})],
+    ids=["clamped, smalbe", "pressed, iterative"],
+)
 def test_other_methods_converge(pressed, options):
-    assert solution(1e8, pressed, **options).report.converged
+    assert solution(JUMP, pressed, **options).report.converged
 
 
-@lru_cache(maxsize=None)
-def energy(jump: float) -> float:
+def energy() -> float:
     """Return the energy of the clamped block by a dense solution."""
-    system = stiff_half(jump)
+    system = stiff_half(JUMP)
     whole = Glued.of(system)
     K, f, free = whole.K, whole.f, whole.free
     # in units in which the stiffness of each unknown is 1
@@ -55,13 +54,12 @@ def energy(jump: float) -> float:
     return -0.5 * load @ np.linalg.solve(scale[:, None] * K[free][:, free] * scale, load)
 
 
-@each_jump
-def test_energy_of_the_clamped_block(jump):
+def test_energy_of_the_clamped_block():
     # the dense solution amplifies rounding by the condition number, about 1e3 times the jump
-    found = solution(jump, False, rtol=1e-7).report.energy
-    assert found == pytest.approx(energy(jump), rel=1e-12 + 1e-13 * jump)
+    found = solution(JUMP, False, rtol=1e-7).report.energy
+    assert found == pytest.approx(energy(), rel=1e-12 + 1e-13 * JUMP)
 
 
-@each_jump
-def test_forces_of_the_pressed_block_balance_the_load(jump):
-    assert solution(jump, True).report.contacts[0].normal_force == pytest.approx(16.0, rel=1e-9)
+def test_forces_of_the_pressed_block_balance_the_load():
+    found = solution(JUMP, True, preconditioner="none").report
+    assert found.contacts[0].normal_force == pytest.approx(16.0, rel=1e-9)

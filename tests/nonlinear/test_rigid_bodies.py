@@ -26,7 +26,7 @@ from fenics_tfeti.models import neo_hookean
 
 COMM = MPI.COMM_WORLD
 E = 1e6
-ranks = pytest.mark.ranks()
+ranks = pytest.mark.ranks
 
 
 def rubber(contacts, width=1.0, n=4):

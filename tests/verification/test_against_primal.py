@@ -48,12 +48,9 @@ SMALL = {
     "stack, tetrahedra": lambda comm: stack_on_ground(comm, "tetrahedron", 4),
 }
 ON_RANKS = {
-    "beams, quadrilaterals",
     "beams, hexahedra",
-    "beams, tetrahedra",
     "block, tetrahedra, gap",
     "materials, triangles",
-    "materials, hexahedra",
     "stack, quadrilaterals",
 }
 LARGE = {

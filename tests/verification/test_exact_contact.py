@@ -156,7 +156,10 @@ def test_obstacle_moved():
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize(
     ("slide", "upper"),
-    [(0.01, 12), (0.01, 9), (0.3, 9), pytest.param(0.3, 12, marks=pytest.mark.heavy)],
+    [
+        *((0.01, upper) for upper in (12, 9)),
+        *(pytest.param(0.3, upper, marks=pytest.mark.heavy) for upper in (12, 9)),
+    ],
 )
 def test_bodies_that_slide_on_all_ranks(slide, upper):
     """On matching meshes, and with mortars."""

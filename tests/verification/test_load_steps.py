@@ -225,8 +225,8 @@ def stepped(comm, change):
     return problem, problem.solve(), reused
 
 
-@pytest.mark.ranks(2, most=2)
-@pytest.mark.parametrize("change", [softer_and_larger_load, round_floor, added_wall, nothing])
+@pytest.mark.ranks(2)
+@pytest.mark.parametrize("change", [softer_and_larger_load, added_wall])
 def test_second_step_is_that_of_one_rank(change):
     problem, uh, reused = stepped(COMM, change)
     alone, expected, _ = stepped(MPI.COMM_SELF, change)
@@ -238,7 +238,7 @@ def test_second_step_is_that_of_one_rank(change):
     np.testing.assert_allclose(normal_forces(problem), normal_forces(alone), rtol=1e-6, atol=1e-3)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_nan_on_one_rank_is_raised_on_all():
     scene = two_blocks_on_a_floor(COMM)
     problem = new_problem(scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from itertools import cycle
 
 from mpi4py import MPI
 
@@ -53,8 +54,7 @@ def warnings_of(scene, **arguments):
     return [str(warning.message) for warning in caught if warning.category is UserWarning]
 
 
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("poisson", [0.495, 0.4999])
+@pytest.mark.parametrize(("cell", "poisson"), zip(CELLS, cycle((0.495, 0.4999)), strict=False))
 def test_nearly_incompressible_cells_of_degree_1(cell, poisson):
     (message,) = told(cell, lambda u, v: hooke(u, v, poisson))
     assert f"degree 1 lock at a Poisson's ratio of {poisson:.4g}" in message
@@ -62,14 +62,15 @@ def test_nearly_incompressible_cells_of_degree_1(cell, poisson):
     assert ("by one point" in message) == (cell in ("quadrilateral", "hexahedron"))
 
 
-@pytest.mark.parametrize("cell", CELLS)
-@pytest.mark.parametrize("poisson", [-0.3, 0.1, 0.3, 0.485])
+@pytest.mark.parametrize(
+    ("cell", "poisson"),
+    [*((cell, 0.485) for cell in CELLS), ("triangle", -0.3), ("hexahedron", 0.3)],
+)
 def test_compressible_materials_do_not_lock(cell, poisson):
     assert not told(cell, lambda u, v: hooke(u, v, poisson))
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
-@pytest.mark.parametrize("poisson", [0.495, 0.4999])
+@pytest.mark.parametrize(("cell", "poisson"), [("quadrilateral", 0.495), ("hexahedron", 0.4999)])
 def test_one_point_of_the_volumetric_term_does_not_lock(cell, poisson):
     assert not told(cell, lambda u, v: hooke(u, v, poisson, volumetric=ONE_POINT))
 
@@ -123,7 +124,7 @@ def told_of_two_blocks(comm):
     return warnings_of(scene)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_rank_0_warns_as_one_rank_alone_does():
     alone, together = told_of_two_blocks(MPI.COMM_SELF), told_of_two_blocks(COMM)
     assert len(alone) == 1

@@ -47,8 +47,7 @@ def bar(cell, **data):
     return scene
 
 
-@pytest.mark.parametrize("axis", [None, "x"])
-@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
+@pytest.mark.parametrize(("cell", "axis"), [("quadrilateral", "x"), ("tetrahedron", None)])
 def test_bar_between_walls(cell, axis):
     """P = E A s / L, whether s or P is given; the left part moves to the right, and is longer."""
     area, s = 0.5 ** (dimension(cell) - 1), 3e-4

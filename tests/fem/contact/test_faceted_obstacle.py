@@ -53,13 +53,13 @@ def test_stl(binary, tmp_path):
     assert np.abs(np.asarray(obstacle.points)).max() == 4.0
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_solution_is_that_of_the_plane():
     plane = solved(Plane((0, 0, 0), (0, 0, 1)))
     assert solved(FacetedObstacle(SQUARE, TRIANGLES)) == pytest.approx(plane, abs=1e-12)
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 @pytest.mark.parametrize("gdim", [2, 3])
 def test_surface_of_another_mesh(gdim):
     low, high = (-1.0,) * gdim, (2.0,) * (gdim - 1) + (0.0,)

@@ -26,7 +26,7 @@ from fenics_tfeti import (
 
 COMM = MPI.COMM_WORLD
 FORCE = 1e-3 * YOUNG
-ranks = pytest.mark.ranks()
+ranks = pytest.mark.ranks
 
 
 def block(gdim: int, n: int = 4) -> Scene:

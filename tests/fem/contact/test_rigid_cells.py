@@ -14,7 +14,7 @@ COMM = MPI.COMM_WORLD
 FORCE = 1e-3 * YOUNG
 BLOCK, FOOT = 1, 2
 PRECISE = {"rtol": 1e-9}
-ranks = pytest.mark.ranks()
+ranks = pytest.mark.ranks
 
 
 def block_below(foot, gdim, n=3, foot_modulus=1.0):

@@ -183,7 +183,7 @@ def started(name, coarse_alone=False, alone=False):
     return fine
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 @every_scene
 def test_first_face_is_that_of_one_rank(name):
     face, expected = started(name).report.faces[0], started(name, True, True).report.faces[0]
@@ -195,7 +195,7 @@ def changes_of_the_set(problem):
     return sum(face.changed > 0 for face in problem.report.faces)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 @every_scene
 def test_no_more_changes_of_the_set_than_from_nothing(name):
     cold = problem_on(COMM, name, 2)
@@ -204,14 +204,14 @@ def test_no_more_changes_of_the_set_than_from_nothing(name):
     np.testing.assert_allclose(normal_forces(started(name)), normal_forces(cold), rtol=1e-5)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_coarse_mesh_may_be_on_each_rank_as_a_whole():
     name = "ball, hexahedra"
     face, expected = started(name, coarse_alone=True).report.faces[0], started(name).report.faces[0]
     assert face.active == expected.active
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_own_multipliers_cost_no_second_face():
     """The exact set: a linear solve, on any number of ranks."""
     name = "ball, hexahedra"

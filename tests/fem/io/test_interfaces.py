@@ -39,7 +39,7 @@ def test_each_facet_of_the_interface_is_there_twice(cell):
     assert [measure(after, "dx", tag) for tag in (1, 2)] == pytest.approx([0.5, 0.5])
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_tags_are_on_the_sides_of_their_bodies(cell):
     after = split_interfaces(block(cell, halves), [Interface(2, 1, slave_tag=5, master_tag=6)])
     normal = ufl.FacetNormal(after.mesh)
@@ -48,7 +48,7 @@ def test_tags_are_on_the_sides_of_their_bodies(cell):
     assert along == pytest.approx([-1.0, 1.0])
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
 def test_three_bodies_come_apart_where_they_meet(cell):
     before = block(cell, thirds)
     layers = 5 ** (GDIM[cell] - 2)
@@ -61,7 +61,7 @@ def test_three_bodies_come_apart_where_they_meet(cell):
     )
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_bodies_stay_together_through_a_third_one(cell):
     before = block(cell, thirds)
     layers = 5 ** (GDIM[cell] - 2)
@@ -70,7 +70,7 @@ def test_bodies_stay_together_through_a_third_one(cell):
     assert vertices(after) == vertices(before) + 2 * layers
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
 def test_nodes_at_the_tip_of_a_partial_interface_stay(cell):
     before = block(cell, halves, tagged=lambda x: middle(x) & (x[:, 1] < 0.5))
     after = split_interfaces(before, [Interface(1, 2, 5, 6, facets=9)])
@@ -93,7 +93,7 @@ def test_new_names_get_new_tags():
     assert measure(after, "ds", after.names["right"]) == pytest.approx(1.0)
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_cut_through_a_body(cell):
     """The slave is below the plane; facets with the tag on the boundary keep it."""
     before = block(cell, whole, tagged=lambda x: middle(x) | np.isclose(x[:, 0], 0.0))
@@ -144,7 +144,7 @@ def test_surface_that_is_all_tip_is_an_error():
         split_interfaces(before, [Interface(1, 2, 5, 6, facets=9)])
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
 def test_contact_after_the_split(cell):
     parts = split_interfaces(block(cell, halves), [Interface(1, 2, 5, 6)])
     a, L, bcs = elasticity(parts, 1e-3)
@@ -188,8 +188,7 @@ def test_one_tag_for_both_surfaces_is_an_error_with_the_remedy(kind):
 # -- meshes of Gmsh ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("gdim", [2, 3])
-@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize(("gdim", "order"), [(2, 1), (3, 2)])
 def test_fragments_of_gmsh_come_apart(tmp_path, gdim, order):
     path = tmp_path / "bolt.msh"
     bolt_in_block(path, gdim, order)

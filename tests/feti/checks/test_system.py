@@ -29,7 +29,7 @@ COMM = MPI.COMM_WORLD
 LAST = COMM.rank == COMM.size - 1
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake_of_one_rank_is_named_on_all(mistake):
     system = column_on(COMM)
@@ -40,12 +40,12 @@ def test_mistake_of_one_rank_is_named_on_all(mistake):
     assert len(set(COMM.allgather(message))) == 1
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_right_system_passes():
     check_system(column_on(COMM))
 
 
-@pytest.mark.ranks(most=2)
+@pytest.mark.ranks
 def test_no_subdomains():
     with pytest.raises(InputError, match="no subdomains.*at least one"):
         check_system(TornSystem([], Prescribed(), ContactRows.none(3), 3, comm=COMM))
@@ -102,7 +102,7 @@ def test_arguments_of_wrong_types():
         TornSolver(column(), {"rtol": 1e-3})
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_rank_is_named():
     system = column_on(COMM)
     if LAST:
@@ -112,14 +112,14 @@ def test_rank_is_named():
         check_system(system)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_dimensions_of_the_ranks_differ():
     contacts = ContactRows.none(2 + LAST)
     with pytest.raises(InputError, match="gdim differs between the ranks: 2,.*3"):
         check_system(TornSystem([], Prescribed(), contacts, 2 + LAST, comm=COMM))
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_rank_without_subdomains():
     system = column_on(MPI.COMM_SELF)
     if COMM.rank > 0:
@@ -130,7 +130,7 @@ def test_rank_without_subdomains():
     assert len(solution.displacements) == len(solution.torn_displacements) == len(system.subdomains)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_guess_of_one_rank():
     system = column_on(COMM)
     rows = system.contacts.size

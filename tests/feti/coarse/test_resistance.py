@@ -130,7 +130,7 @@ def test_no_bodies():
     assert values.shape == (0,) and z.shape == (0, 0)
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 @pytest.mark.parametrize("bodies", [5, 40])
 def test_rows_on_several_ranks(bodies):
     """By dense algebra, and by inverse iteration."""
@@ -151,7 +151,7 @@ def test_rows_on_several_ranks(bodies):
     assert all(np.array_equal(dense, other) for other in COMM.allgather(dense))
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_sum_of_sparse_matrices():
     own = sp.csr_matrix(np.diag([1.0, 0.0, COMM.rank]))
     expected = np.diag([COMM.size, 0.0, COMM.size * (COMM.size - 1) / 2])

@@ -202,7 +202,7 @@ def distributed():
     )
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_file_of_many_ranks_read_by_one_and_by_many(folder):
     exact = TornSolver(column(height=3), Options(rtol=1e-9)).solve().report
     save_system(folder / "system.npz", distributed())
@@ -219,7 +219,7 @@ def test_file_of_many_ranks_read_by_one_and_by_many(folder):
         assert report.energy == pytest.approx(exact.energy, rel=1e-8)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_errors_reach_all_ranks(folder):
     with pytest.raises(OSError, match="torn system cannot be written"):
         save_system(folder / "missing" / "system.npz", distributed())
@@ -237,7 +237,7 @@ def test_errors_reach_all_ranks(folder):
         load_system(folder / "system.npz", COMM)
 
 
-@pytest.mark.ranks(2, most=2)
+@pytest.mark.ranks(2)
 def test_command(folder, capfd):
     save_system(folder / "system.npz", distributed())
     COMM.barrier()

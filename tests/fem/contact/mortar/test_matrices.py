@@ -161,11 +161,11 @@ def test_weight_of_the_measure():
 
 
 @pytest.mark.parametrize("corners", [3, 4])
-def test_hundred_thousand_facets(corners):
-    """Triangles, or half as many distorted quadrilaterals."""
-    slave = grid((224, 224), corners=corners, jitter=0.3)
+def test_many_facets(corners):
+    """Twenty thousand triangles, or half as many distorted quadrilaterals."""
+    slave = grid((100, 100), corners=corners, jitter=0.3)
     low, high = (-0.001, -0.001), (1.001, 1.001)
-    master = grid((223, 225), low, high, up=False, corners=corners, jitter=0.3, seed=1)
+    master = grid((99, 101), low, high, up=False, corners=corners, jitter=0.3, seed=1)
     matrices, _, rows = assemble(slave, master)
     assert rows.all()
     check_identities(slave, master, matrices, rows)

@@ -68,7 +68,7 @@ def pairs(slave, master):
     return {(int(found.facet[k]), *row) for k, row in zip(found.pair, nodes.tolist(), strict=True)}
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 @pytest.mark.parametrize(("gap", "move"), [(0.0, (0.0, 0.0)), (0.3, (3.3, 0.1)), (2.0, (0.0, 0.0))])
 def test_nothing_is_missing(gap, move):
     slave, near, whole, surface = both(gap, move)
@@ -92,7 +92,7 @@ def test_nothing_is_missing(gap, move):
         assert closest in near.nodes
 
 
-@pytest.mark.ranks(2)
+@pytest.mark.ranks(2, 3)
 def test_ranks_share_the_surface():
     """Whatever the partition: the slave's facets are on one rank each."""
     _, near, whole, _ = both()
