@@ -16,6 +16,7 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse.linalg import LinearOperator
 
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
@@ -152,14 +153,15 @@ class SparseFactor:
     def between(self, unknowns: Numbers) -> Operator | None:
         """Return the inverse between some unknowns, for rows (k, b), where it is compiled."""
         factor = self._factor
-        return factor.between(unknowns) if isinstance(factor, SupernodalFactor) else None
+        compiled = isinstance(factor, SupernodalFactor | _Downdated)
+        return factor.between(unknowns) if compiled else None
 
     @property
     def entries(self) -> int:
         """Number of the factor's entries."""
         return self._factor.entries
 
-    def _check_by_a_solve(self, matrix: sp.csr_matrix) -> float:
+    def _check_by_a_solve(self, matrix: sp.csr_matrix | LinearOperator) -> float:
         """Find inaccurate factors, and return the energy b'x of the probe."""
         b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
         x = self.solve(b)
@@ -201,6 +203,37 @@ class SparseCholesky(SparseFactor):
                 f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
                 f"{matrix.shape[0]} is not positive definite"
             ) from error
+
+
+class DowndatedCholesky(SparseFactor):
+    """The inverse of A - UU', which may be indefinite, by the Cholesky factor of A; its inertia.
+
+    A is as for `SparseCholesky`, and U (n, k) has few columns. `FactorizationError` if A is not
+    positive definite, or A - UU' is singular.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> A, U = sp.csr_matrix(np.diag([1.0, 2.0])), np.array([[0.0], [2.0]])
+    >>> factor = DowndatedCholesky(A, U, choose_package("auto"))
+    >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist(), factor.negative
+    ([3.0, -2.0], 1)
+    """
+
+    def __init__(self, matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1) -> None:
+        try:
+            super().__init__(_Downdated(SparseCholesky(matrix, package, width=width), U))
+            self._check_by_a_solve(LinearOperator(matrix.shape, lambda x: matrix @ x - U @ (U.T @ x)))
+        except _Unusable as error:
+            raise FactorizationError(
+                f"the downdated Cholesky factorisation by {package} failed ({error}): the matrix "
+                f"of order {matrix.shape[0]} is singular"
+            ) from error
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues."""
+        return self._factor.negative
 
 
 class SparseLDL(SparseFactor):
@@ -254,6 +287,40 @@ def _factor(
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)
+
+
+class _Downdated:
+    """The inverse A^{-1} + Y C^{-1} Y' of A - UU', where Y = A^{-1} U and C = I - U'Y.
+
+    By Sylvester's law C has the negative eigenvalues of A - UU'.
+    """
+
+    def __init__(self, inverse: SparseCholesky, U: Vector) -> None:
+        self._inverse, self._Y = inverse, inverse.solve(U)
+        C = np.eye(U.shape[1]) - U.T @ self._Y
+        values = np.linalg.eigvalsh(C)
+        self.negative = int(np.count_nonzero(values < 0.0))
+        if not np.abs(values).min(initial=1.0) > 0.0:
+            raise _Unusable("zero pivots")
+        self._C_inverse = np.linalg.inv(C)
+
+    def solve(self, b: Vector) -> Vector:
+        x: Vector = self._inverse.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        return self.solve(b)
+
+    def between(self, unknowns: Numbers) -> Operator | None:
+        inverse, Y = self._inverse.between(unknowns), self._Y[unknowns]
+        if inverse is None:
+            return None
+        Y_C = Y @ self._C_inverse
+        return lambda rows: inverse(rows) + (rows @ Y_C) @ Y.T
+
+    @property
+    def entries(self) -> int:
+        return self._inverse.entries
 
 
 class _RslabFactor:
