@@ -95,7 +95,7 @@ def _derivatives(shapes: Vector, values: Vector) -> Vector:
 
 def _product(A: Vector, B: Vector) -> Vector:
     """Return AB of small matrices (d, d, p, k), entry by entry for all of them at once."""
-    product: Vector = sum(A[:, i, None] * B[None, i] for i in range(len(B)))
+    product: Vector = np.sum([A[:, i, None] * B[None, i] for i in range(len(B))], axis=0)
     return product
 
 

@@ -16,12 +16,11 @@ from petsc4py import PETSc
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator
 
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.factors.compiled import supernodal_library
-from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.supernodal import DowndatedFactor, NotDefinite, SupernodalFactor
 from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
@@ -95,6 +94,10 @@ def describe_package(package: str) -> str:
 
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
+# the same of a downdated one: another factor takes its place
+_ACCURATE = 1e-9
+# springs that make a tangent definite, at most: for each of them the factorisation starts again
+_SPRINGS = 8
 # more work than any solve has: rslab's solves stay on the thread that calls them
 _NEVER = 2**62
 # unknowns from which on CHOLMOD tries METIS' ordering too: the factors of smaller matrices are as
@@ -153,21 +156,22 @@ class SparseFactor:
     def between(self, unknowns: Numbers) -> Operator | None:
         """Return the inverse between some unknowns, for rows (k, b), where it is compiled."""
         factor = self._factor
-        compiled = isinstance(factor, SupernodalFactor | _Downdated)
-        return factor.between(unknowns) if compiled else None
+        if isinstance(factor, SupernodalFactor | DowndatedFactor):
+            return factor.between(unknowns)
+        return None
 
     @property
     def entries(self) -> int:
         """Number of the factor's entries."""
         return self._factor.entries
 
-    def _check_by_a_solve(self, matrix: sp.csr_matrix | LinearOperator) -> float:
-        """Find inaccurate factors, and return the energy b'x of the probe."""
-        b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
+    def _check_by_a_solve(self, matrix: Operator, size: int, useless: float = _USELESS) -> float:
+        """Find inaccurate factors of a matrix, and return the energy b'x of the probe."""
+        b = matrix(np.random.default_rng(0).standard_normal(size))
         x = self.solve(b)
         with np.errstate(invalid="ignore", over="ignore"):
-            residual = np.linalg.norm(matrix @ x - b) / np.linalg.norm(b)
-            if not residual <= _USELESS:
+            residual = np.linalg.norm(matrix(x) - b) / np.linalg.norm(b)
+            if not residual <= useless:
                 raise _Unusable(f"relative residual {residual:.1e}")
             return float(b @ x)
 
@@ -196,7 +200,7 @@ class SparseCholesky(SparseFactor):
             if package != "cholmod" and self._factor.negative:
                 raise _Unusable(f"{self._factor.negative} negative pivots")
             # CHOLMOD's failures, which PETSc does not pass on
-            if not self._check_by_a_solve(matrix) > 0.0:
+            if not self._check_by_a_solve(matrix.dot, matrix.shape[0]) > 0.0:
                 raise _Unusable("negative energy")
         except _Unusable as error:
             raise FactorizationError(
@@ -206,28 +210,39 @@ class SparseCholesky(SparseFactor):
 
 
 class DowndatedCholesky(SparseFactor):
-    """The inverse of A - UU', which may be indefinite, by the Cholesky factor of A; its inertia.
+    """The inverse of A - UU', which may be indefinite, by a Cholesky factor; its inertia.
 
-    A is as for `SparseCholesky`, and U (n, k) has few columns. `FactorizationError` if A is not
-    positive definite, or A - UU' is singular.
+    A (n, n) is as for `SparseCholesky`, and U (n, k) has few columns. Where A has a few negative
+    eigenvalues, springs are added that make it positive definite, in place, and taken off again by
+    further columns of U. `FactorizationError` if there are more of them, if A - UU' is singular, or
+    where CHOLMOD's solves are not compiled.
 
     Examples
     --------
     >>> import numpy as np, scipy.sparse as sp
     >>> A, U = sp.csr_matrix(np.diag([1.0, 2.0])), np.array([[0.0], [2.0]])
-    >>> factor = DowndatedCholesky(A, U, choose_package("auto"))
+    >>> factor = DowndatedCholesky(A, U, "cholmod")
     >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist(), factor.negative
     ([3.0, -2.0], 1)
     """
 
     def __init__(self, matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1) -> None:
         try:
-            super().__init__(_Downdated(SparseCholesky(matrix, package, width=width), U))
-            self._check_by_a_solve(LinearOperator(matrix.shape, lambda x: matrix @ x - U @ (U.T @ x)))
-        except _Unusable as error:
+            library = supernodal_library()[0] if package == "cholmod" else None
+            if library is None:
+                raise _Unusable("it needs CHOLMOD with compiled solves")
+            # the springs are added to these arrays
+            matrix.sort_indices()
+            spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
+            factor = SupernodalFactor(library, matrix, width, methods, spring, _SPRINGS)
+            held = np.zeros((matrix.shape[0], factor.held.size))
+            held[factor.held, np.arange(factor.held.size)] = np.sqrt(spring)
+            U = np.hstack([U, held])
+            super().__init__(DowndatedFactor(factor, U))
+            self._check_by_a_solve(lambda x: matrix @ x - U @ (U.T @ x), matrix.shape[0], _ACCURATE)
+        except (NotDefinite, _Unusable) as error:
             raise FactorizationError(
-                f"the downdated Cholesky factorisation by {package} failed ({error}): the matrix "
-                f"of order {matrix.shape[0]} is singular"
+                f"the downdated Cholesky factorisation by {package} failed ({error})"
             ) from error
 
     @property
@@ -258,7 +273,7 @@ class SparseLDL(SparseFactor):
             )
         try:
             super().__init__(_factor(matrix, package, definite=False))
-            self._check_by_a_solve(matrix)
+            self._check_by_a_solve(matrix.dot, matrix.shape[0])
         except _Unusable as error:
             raise FactorizationError(
                 f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
@@ -282,45 +297,10 @@ def _factor(
         return _RslabFactor(matrix)
     if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
         try:
-            methods = PETSc.Options().getInt(_ORDERINGS, _orderings(matrix.shape[0]))
-            return SupernodalFactor(library, matrix, width, methods)
+            return SupernodalFactor(library, matrix, width, _cholmod_orderings(matrix.shape[0]))
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)
-
-
-class _Downdated:
-    """The inverse A^{-1} + Y C^{-1} Y' of A - UU', where Y = A^{-1} U and C = I - U'Y.
-
-    By Sylvester's law C has the negative eigenvalues of A - UU'.
-    """
-
-    def __init__(self, inverse: SparseCholesky, U: Vector) -> None:
-        self._inverse, self._Y = inverse, inverse.solve(U)
-        C = np.eye(U.shape[1]) - U.T @ self._Y
-        values = np.linalg.eigvalsh(C)
-        self.negative = int(np.count_nonzero(values < 0.0))
-        if not np.abs(values).min(initial=1.0) > 0.0:
-            raise _Unusable("zero pivots")
-        self._C_inverse = np.linalg.inv(C)
-
-    def solve(self, b: Vector) -> Vector:
-        x: Vector = self._inverse.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
-        return x
-
-    def solve_columns(self, b: Vector) -> Vector:
-        return self.solve(b)
-
-    def between(self, unknowns: Numbers) -> Operator | None:
-        inverse, Y = self._inverse.between(unknowns), self._Y[unknowns]
-        if inverse is None:
-            return None
-        Y_C = Y @ self._C_inverse
-        return lambda rows: inverse(rows) + (rows @ Y_C) @ Y.T
-
-    @property
-    def entries(self) -> int:
-        return self._inverse.entries
 
 
 class _RslabFactor:
@@ -427,6 +407,11 @@ def _orderings(size: int, quick: bool = False) -> int:
     if size < _TRY_METIS:
         return 0
     return 1 if quick else 3
+
+
+def _cholmod_orderings(size: int) -> int:
+    """Return CHOLMOD's number of orderings that the user has chosen, or else ours."""
+    return int(PETSc.Options().getInt(_ORDERINGS, _orderings(size)))
 
 
 @contextmanager

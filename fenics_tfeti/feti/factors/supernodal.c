@@ -277,10 +277,28 @@ static int order(const cholmod_sparse *A, int width, int *ordering, cholmod_comm
   return count == n;
 }
 
+/* The numeric factor. Where a pivot is not positive, the diagonal entry of its unknown is increased,
+   in the matrix itself, by `spring`, and the unknown is written to `held`: at most `*count` times,
+   which becomes their number. */
+static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *held, int *count,
+                     cholmod_common *common)
+{
+  const int most = *count, *start = A->p, *column = A->i;
+  for (*count = 0; cholmod_factorize(A, L, common) && L->minor < L->n && *count < most;) {
+    int k = ((int *)L->Perm)[L->minor], q = start[k];
+    while (column[q] != k)
+      q++;
+    ((double *)A->x)[q] += spring;
+    held[(*count)++] = k;
+  }
+  return common->status >= CHOLMOD_OK && L->minor == L->n;
+}
+
 /* The factor of a symmetric matrix with both triangles and sorted rows, and the place (n,) of each
-   unknown in it; NULL if the matrix is not positive definite, or without memory. */
+   unknown in it; NULL if the matrix is not positive definite with the springs, see above, or without
+   memory. */
 Factor *supernodal_factor(int n, int *start, int *index, double *value, int width, int methods,
-                          int *place, long *sizes)
+                          int *place, long *sizes, double spring, int *held, int *count)
 {
   cholmod_sparse A = {.nrow = n, .ncol = n, .nzmax = start[n], .p = start, .i = index, .x = value,
                       .stype = 1, .itype = CHOLMOD_INT, .xtype = CHOLMOD_REAL,
@@ -294,7 +312,7 @@ Factor *supernodal_factor(int n, int *start, int *index, double *value, int widt
     common.nmethods = 1, common.method[0].ordering = CHOLMOD_GIVEN;
     common.supernodal = CHOLMOD_SUPERNODAL, common.final_ll = 1;
     F->L = cholmod_analyze_p(&A, ordering, NULL, 0, &common);
-    done = F->L && cholmod_factorize(&A, F->L, &common) && F->L->minor == F->L->n &&
+    done = F->L && factorize(&A, F->L, spring, held, count, &common) &&
            pack_all(F, sizes, &common);
   }
   for (int i = 0; done && i < n; i++)

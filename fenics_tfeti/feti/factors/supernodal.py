@@ -28,13 +28,20 @@ class SupernodalFactor:
 
     `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
     a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them.
-    `NotDefinite` if the matrix is not positive definite.
+    `NotDefinite` if the matrix is not positive definite. A `spring` is added to its diagonal, in
+    place, where a pivot is not positive, at up to `most` unknowns, which are `held` then.
     """
 
     negative = 0
 
     def __init__(
-        self, library: ctypes.CDLL, matrix: sp.csr_matrix, width: int = 1, methods: int = 0
+        self,
+        library: ctypes.CDLL,
+        matrix: sp.csr_matrix,
+        width: int = 1,
+        methods: int = 0,
+        spring: float = 0.0,
+        most: int = 0,
     ) -> None:
         rows = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
         size = rows.shape[0]
@@ -43,14 +50,16 @@ class SupernodalFactor:
         arrays = [x.astype(np.int32, copy=False) for x in (rows.indptr, rows.indices)]
         arrays.append(rows.data.astype(np.float64, copy=False))
         figures = np.zeros(2, dtype=np.int64)
+        held, count = np.empty(most, dtype=np.int32), ctypes.c_int(most)
         with one_thread():
             address = library.supernodal_factor(
                 size, *map(_pointer, arrays), width, methods, _pointer(self._places),
-                _pointer(figures),
+                _pointer(figures), ctypes.c_double(spring), _pointer(held), ctypes.byref(count),
             )  # fmt: skip
         if not address:
             raise NotDefinite("a pivot is not positive")
         self._factor = ctypes.c_void_p(address)
+        self.held: Indices = held[: count.value]
         self.entries, longest = map(int, figures)
         self._room = size + longest
         weakref.finalize(self, library.supernodal_free, self._factor).atexit = False
@@ -77,3 +86,36 @@ class SupernodalFactor:
             _pointer(result), _pointer(work),
         )  # fmt: skip
         return result
+
+
+class DowndatedFactor:
+    """The inverse A^{-1} + Y C^{-1} Y' of A - UU', with Y = A^{-1} U and C = I - U'Y.
+
+    By Sylvester's law C has the negative eigenvalues of A - UU'. `NotDefinite` if C is singular.
+    """
+
+    def __init__(self, factor: SupernodalFactor, U: Vector) -> None:
+        self._factor, self.entries = factor, factor.entries
+        self._Y = factor.solve_columns(U)
+        C = np.eye(U.shape[1]) - U.T @ self._Y
+        values, vectors = np.linalg.eigh(C)
+        if not values.all():
+            raise NotDefinite("the downdated matrix is singular")
+        self.negative = int(np.count_nonzero(values < 0.0))
+        self._C_inverse = (vectors / values) @ vectors.T
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,)."""
+        x: Vector = self._factor.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        """Solve for the columns of a matrix (n, k) in Fortran order."""
+        x: Vector = self._factor.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return x
+
+    def between(self, unknowns: Numbers) -> Operator:
+        """Return the inverse between some unknowns, for the rows of a matrix (k, b)."""
+        inverse, Y = self._factor.between(unknowns), self._Y[unknowns]
+        Y_C = Y @ self._C_inverse
+        return lambda rows: inverse(rows) + (rows @ Y_C) @ Y.T
