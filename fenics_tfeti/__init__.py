@@ -23,7 +23,7 @@ from fenics_tfeti.errors import (
 
 _LAZY = {
     "Along": "fenics_tfeti.fem.contact.description",
-    "BoltPreload": "fenics_tfeti.fem.contact.ties.description",
+    "BoltPreload": "fenics_tfeti.fem.contact.description",
     "BoltResult": "fenics_tfeti.fem.contact.result",
     "ContactPair": "fenics_tfeti.fem.contact.description",
     "ContactProblem": "fenics_tfeti.problem",
@@ -33,11 +33,11 @@ _LAZY = {
     "Exact": "fenics_tfeti.fem.contact.description",
     "FacetedObstacle": "fenics_tfeti.fem.contact.obstacles.faceted",
     "FrictionResult": "fenics_tfeti.fem.contact.result",
-    "LinearRows": "fenics_tfeti.fem.contact.ties.description",
+    "LinearRows": "fenics_tfeti.fem.contact.description",
     "Mapped": "fenics_tfeti.fem.contact.description",
     "Nearest": "fenics_tfeti.fem.contact.description",
     "NonlinearContactProblem": "fenics_tfeti.nonlinear",
-    "PeriodicPair": "fenics_tfeti.fem.contact.ties.description",
+    "PeriodicPair": "fenics_tfeti.fem.contact.description",
     "Plane": "fenics_tfeti.fem.contact.obstacles.shapes",
     "Points": "fenics_tfeti.fem.contact.description",
     "Results": "fenics_tfeti.fem.contact.result",

@@ -18,11 +18,10 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
-from fenics_tfeti.fem.contact.description import Contact, Exact
+from fenics_tfeti.fem.contact.description import Contact, Exact, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale

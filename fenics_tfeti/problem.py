@@ -25,11 +25,10 @@ from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.automatic import find_contacts
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, Exact
+from fenics_tfeti.fem.contact.description import Contact, Exact, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import (
     fill_displacement,

@@ -19,10 +19,10 @@ from fenics_tfeti.fem.contact.description import (
     Contact,
     ContactPair,
     Exact,
+    Tie,
     contact_name,
 )
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
-from fenics_tfeti.fem.contact.ties.description import Tie
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:

@@ -18,10 +18,9 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
-from fenics_tfeti.fem.contact.description import Contact
+from fenics_tfeti.fem.contact.description import Contact, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh

@@ -18,8 +18,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.cells import CellGeometry
-from fenics_tfeti.fem.contact.description import Contact, ContactPair
-from fenics_tfeti.fem.contact.ties.description import BoltPreload, Tie
+from fenics_tfeti.fem.contact.description import BoltPreload, Contact, ContactPair, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE

@@ -21,8 +21,7 @@ from fenics_tfeti.fem.checks.bodies import (
     surface_nodes,
 )
 from fenics_tfeti.fem.checks.cells import CellGeometry, check_overlaps, check_shapes
-from fenics_tfeti.fem.contact.description import Contact
-from fenics_tfeti.fem.contact.ties.description import Tie
+from fenics_tfeti.fem.contact.description import Contact, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.parallel import raise_collectively
 

@@ -14,8 +14,12 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError, warn_user
 from fenics_tfeti.fem.checks.mesh import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import Cells, nearest_layers, overlapping_cells
+from fenics_tfeti.fem.contact.mortar.cells import (
+    Cells,
+    MasterTree,
+    nearest_layers,
+    overlapping_cells,
+)
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets

@@ -17,7 +17,17 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.checks import check_depth
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, openings
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
+from fenics_tfeti.fem.contact.description import (
+    BoltPreload,
+    Contact,
+    ContactPair,
+    LinearRows,
+    PeriodicPair,
+    RigidObstacle,
+    Tie,
+    TiedPair,
+    contact_name,
+)
 from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.obstacles.rigid_body import (
     BodyFrame,
@@ -54,15 +64,14 @@ from fenics_tfeti.fem.contact.slip import (
     nodal_friction,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.ties.description import (
-    BoltPreload,
-    LinearRows,
-    PeriodicPair,
-    Tie,
-    tie_name,
+from fenics_tfeti.fem.contact.ties import (
+    Preload,
+    TiedPairing,
+    linear_rows,
+    periodic_rows,
+    preload_rows,
+    tie_surfaces,
 )
-from fenics_tfeti.fem.contact.ties.matched import linear_rows, periodic_rows, preload_rows
-from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing, tie_surfaces
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values
@@ -607,7 +616,7 @@ class ContactSearch:
 
     def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
         """Return the rows of a tie, known ones if they still hold. Collective."""
-        name = tie_name(tie, number)
+        name = contact_name(tie, number)
         known = next((found.pairing for found in last.ties if found.tie is tie), None)
         if known is not None and known.still_holds(prescribed):
             return known

@@ -23,10 +23,13 @@ from fenics_tfeti.fem.contact.description import (
 from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
 from fenics_tfeti.fem.contact.nodes.pairing import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.obstacles.conditions import match_obstacle
-from fenics_tfeti.fem.contact.surfaces.cylinders import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components, still_holds
+from fenics_tfeti.fem.contact.surfaces.normals import (
+    prescribed_components,
+    still_holds,
+    without_axial_tilt,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import raise_collectively

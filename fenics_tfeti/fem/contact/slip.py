@@ -19,7 +19,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, row_values
 from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.result import FrictionResult
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in

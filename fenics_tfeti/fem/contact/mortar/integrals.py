@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import Cells, covering_cells
+from fenics_tfeti.fem.contact.mortar.cells import Cells, MasterTree, covering_cells
 from fenics_tfeti.fem.contact.mortar.clipping import fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,

@@ -17,8 +17,8 @@ from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.messages import raise_where
 from fenics_tfeti.fem.nodes import NodeMap

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.mortar.candidates import REACH
+from fenics_tfeti.fem.contact.mortar.cells import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
