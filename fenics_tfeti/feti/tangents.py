@@ -146,7 +146,10 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
             return K
         rest = np.setdiff1d(np.arange(len(R)), fixed)
         try:
-            interior = SparseCholesky(K[rest][:, rest].tocsr(), package) if rest.size else None
+            interior = None
+            if rest.size:
+                inside = K[rest][:, rest].tocsr()
+                interior = SparseCholesky(inside, package, width=coordinates.shape[1])
         except FactorizationError:
             number *= 2
         else:

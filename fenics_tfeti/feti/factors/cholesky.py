@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -180,9 +180,10 @@ class SparseCholesky(SparseFactor):
     """The factor of a sparse symmetric positive definite matrix.
 
     The matrix has both triangles; `FactorizationError` if it is not positive definite. Its unknowns
-    are those of nodes, `width` each. A `quick` factor is for few solves: CHOLMOD takes PETSc's
-    nested dissection and tries no other ordering. That is half the time for a large coarse problem
-    on a grid, and a factor up to two fifths larger.
+    are those of nodes, `width` each. A matrix with a name may take CHOLMOD's ordering of the last
+    one of that name, which has about the same pattern. A `quick` factor is for few solves: CHOLMOD
+    takes PETSc's nested dissection and tries no other ordering. That is half the time for a large
+    coarse problem on a grid, and a factor up to two fifths larger.
 
     Examples
     --------
@@ -193,10 +194,15 @@ class SparseCholesky(SparseFactor):
     """
 
     def __init__(
-        self, matrix: sp.csr_matrix, package: str, quick: bool = False, width: int = 1
+        self,
+        matrix: sp.csr_matrix,
+        package: str,
+        quick: bool = False,
+        width: int = 1,
+        name: Hashable = None,
     ) -> None:
         try:
-            super().__init__(_factor(matrix, package, quick, width=width))
+            super().__init__(_factor(matrix, package, quick, width=width, name=name))
             if package != "cholmod" and self._factor.negative:
                 raise _Unusable(f"{self._factor.negative} negative pivots")
             # CHOLMOD's failures, which PETSc does not pass on
@@ -226,7 +232,14 @@ class DowndatedCholesky(SparseFactor):
     ([3.0, -2.0], 1)
     """
 
-    def __init__(self, matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1) -> None:
+    def __init__(
+        self,
+        matrix: sp.csr_matrix,
+        U: Vector,
+        package: str,
+        width: int = 1,
+        name: Hashable = None,
+    ) -> None:
         try:
             library = supernodal_library()[0] if package == "cholmod" else None
             if library is None:
@@ -234,7 +247,7 @@ class DowndatedCholesky(SparseFactor):
             # the springs are added to these arrays
             matrix.sort_indices()
             spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
-            factor = SupernodalFactor(library, matrix, width, methods, spring, _SPRINGS)
+            factor = SupernodalFactor(library, matrix, width, methods, name, spring, _SPRINGS)
             held = np.zeros((matrix.shape[0], factor.held.size))
             held[factor.held, np.arange(factor.held.size)] = np.sqrt(spring)
             U = np.hstack([U, held])
@@ -292,12 +305,14 @@ def _factor(
     quick: bool = False,
     definite: bool = True,
     width: int = 1,
+    name: Hashable = None,
 ) -> _Factor:
     if package == "rslab":
         return _RslabFactor(matrix)
     if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
         try:
-            return SupernodalFactor(library, matrix, width, _cholmod_orderings(matrix.shape[0]))
+            methods = _cholmod_orderings(matrix.shape[0])
+            return SupernodalFactor(library, matrix, width, methods, name)
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)

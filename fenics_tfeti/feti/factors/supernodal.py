@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import weakref
+from collections.abc import Hashable
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +14,10 @@ from fenics_tfeti.typing import Array, Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many
 _LANES = 8
+# numbers in orderings that are kept, at most: as many unknowns
+_MOST = 2**24
+# a kept ordering serves while it leads to so many times the entries at most
+_SIMILAR = 1.2
 
 
 class NotDefinite(Exception):
@@ -23,11 +28,39 @@ def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
+class _Orderings:
+    """The orderings of the last matrices, and their numbers of entries, by name.
+
+    A similar matrix, such as that of the next Newton step, may have a few other entries.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[Hashable, tuple[Indices, float]] = {}
+        self._numbers = 0
+
+    def find(self, name: Hashable, size: int) -> tuple[Indices, float]:
+        """Return a copy of an ordering and its entries; room and 0 if there is none."""
+        ordering, entries = self._kept.get(name, (np.empty(size, dtype=np.int32), 0.0))
+        return ordering.copy(), entries
+
+    def keep(self, name: Hashable, ordering: Indices, entries: float) -> None:
+        """Keep an ordering; all are forgotten when they are too many."""
+        if self._numbers > _MOST:
+            self._kept.clear()
+            self._numbers = 0
+        self._numbers += ordering.size if name not in self._kept else 0
+        self._kept[name] = ordering, entries
+
+
+_orderings = _Orderings()
+
+
 class SupernodalFactor:
     """The Cholesky factor of a sparse symmetric positive definite matrix.
 
     `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
-    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them.
+    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them. A
+    matrix with a name takes the ordering of the last one of that name while it is as good.
     `NotDefinite` if the matrix is not positive definite. A `spring` is added to its diagonal, in
     place, where a pivot is not positive, at up to `most` unknowns, which are `held` then.
     """
@@ -40,6 +73,7 @@ class SupernodalFactor:
         matrix: sp.csr_matrix,
         width: int = 1,
         methods: int = 0,
+        name: Hashable = None,
         spring: float = 0.0,
         most: int = 0,
     ) -> None:
@@ -51,13 +85,19 @@ class SupernodalFactor:
         arrays.append(rows.data.astype(np.float64, copy=False))
         figures = np.zeros(2, dtype=np.int64)
         held, count = np.empty(most, dtype=np.int32), ctypes.c_int(most)
+        key = None if name is None else (name, size, width, methods)
+        ordering, entries = _orderings.find(key, size)
+        limit = ctypes.c_double(_SIMILAR * entries)
         with one_thread():
             address = library.supernodal_factor(
-                size, *map(_pointer, arrays), width, methods, _pointer(self._places),
-                _pointer(figures), ctypes.c_double(spring), _pointer(held), ctypes.byref(count),
+                size, *map(_pointer, arrays), width, methods, ctypes.byref(limit),
+                _pointer(ordering), _pointer(self._places), _pointer(figures),
+                ctypes.c_double(spring), _pointer(held), ctypes.byref(count),
             )  # fmt: skip
         if not address:
             raise NotDefinite("a pivot is not positive")
+        if key is not None and limit.value != _SIMILAR * entries:
+            _orderings.keep(key, ordering, limit.value)
         self._factor = ctypes.c_void_p(address)
         self.held: Indices = held[: count.value]
         self.entries, longest = map(int, figures)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -43,7 +45,13 @@ def regularized_stiffness(
 
 
 def _indefinite_factor(
-    K: sp.csr_matrix, R: Vector, rigid: Vector, fixed: Numbers, package: str, gdim: int
+    K: sp.csr_matrix,
+    R: Vector,
+    rigid: Vector,
+    fixed: Numbers,
+    package: str,
+    gdim: int,
+    name: Hashable,
 ) -> DowndatedCholesky | SparseLDL:
     """Return the factor of K + rho Q of a tangent K, whose kernel R is a part of its rigid motions.
 
@@ -56,7 +64,7 @@ def _indefinite_factor(
     U = np.zeros((K.shape[0], rigid.shape[1] - R.shape[1]))
     U[fixed] = np.sqrt(K.diagonal().max()) * left[:, : U.shape[1]]
     try:
-        return DowndatedCholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim)
+        return DowndatedCholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, name)
     except FactorizationError:
         return SparseLDL(regularized_stiffness(K, R, fixed))
 
@@ -89,15 +97,19 @@ class GeneralizedInverse:
         if subdomain.is_rigid:
             return
         images = symmetries.nodes(gdim) if symmetries else None
+        # that of the tangents of this subdomain in other Newton steps, too
+        name = hash(subdomain.nodes.tobytes())
         x, is_definite = subdomain.coordinates_in_frame, subdomain.kernel == "rigid"
         held = R if is_definite else rigid_body_modes(x)
         try:
             fixed = unknowns_of_nodes(fixing_nodes(x, held, number, images), gdim)
             if is_definite:
                 regularized = regularized_stiffness(K, R, fixed)
-                self._factor = SparseCholesky(regularized, package, width=gdim)
+                self._factor = SparseCholesky(regularized, package, width=gdim, name=name)
             else:
-                self._factor = indefinite = _indefinite_factor(K, R, held, fixed, package, gdim)
+                self._factor = indefinite = _indefinite_factor(
+                    K, R, held, fixed, package, gdim, name
+                )
                 self.negative = indefinite.negative
         except FactorizationError as error:
             place = format_point(
