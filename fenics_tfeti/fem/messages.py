@@ -68,7 +68,8 @@ def raise_where(
         raise InputError(message(len(bad), format_point(first, size)))
 
 
-def format_mesh_point(domain: Mesh, point: Vector) -> str:
-    """Write a point (gdim,) with the digits that the size of the mesh leaves. Collective."""
+def first_mesh_point(domain: Mesh, points: Vector) -> str:
+    """Write the first of points (k, gdim) with the digits that the mesh leaves. Collective."""
     size = float(np.abs(domain.geometry.x).max(initial=0.0))
-    return format_point(point, domain.comm.allreduce(size, MPI.MAX))
+    first = points[coordinate_order(points)[0]]
+    return format_point(first, domain.comm.allreduce(size, MPI.MAX))

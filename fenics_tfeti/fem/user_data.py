@@ -77,7 +77,7 @@ def scalars_at(
     It is a number, a function, or an array of values at the points. No value is below `lowest`.
     """
     with raise_collectively(comm):
-        scalars = _scalars(values, points, what) if callable(values) else values
+        scalars = _called(values, points, what, (len(points),)) if callable(values) else values
     scalars = np.array(np.broadcast_to(scalars, len(points)), dtype=float)
     wrong = "NaN or infinite" if lowest == -np.inf else "negative, NaN or infinite"
     raise_where(
@@ -145,15 +145,10 @@ def as_array(data: Any, what: str) -> Vector:
         )
 
 
-def _scalars(function: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
-    k = len(points)
-    return _called(function, points, what, {(k,)}, f"({k},)")
-
-
 def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector:
     k = len(points)
     if callable(field):
-        values = _called(field, points, what, {(gdim, k), (3, k)}, f"({gdim}, {k})")
+        values = _called(field, points, what, (gdim, k), (3, k))
         vectors: Vector = values[:gdim].T
         return vectors
     vector = as_array(field, what)
@@ -163,19 +158,15 @@ def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector
 
 
 def _called(
-    function: Callable[[Vector], ArrayLike],
-    points: Vector,
-    what: str,
-    shapes: set[tuple[int, ...]],
-    expected: str,
+    function: Callable[[Vector], ArrayLike], points: Vector, what: str, *shapes: tuple[int, ...]
 ) -> Vector:
-    """Return the values of a user's function, of one of some shapes."""
+    """Return the values of a user's function, of one of some shapes, as a rule the first."""
     if not len(points):  # a user's function may fail for no points
-        return np.zeros(min(shapes))
+        return np.zeros(shapes[0])
     values = as_array(evaluate(function, points, what), what)
     if values.shape not in shapes:
         raise InputError(
             f"{what} returned shape {values.shape} for points of shape (3, {len(points)}), "
-            f"expected {expected}"
+            f"expected {shapes[0]}"
         )
     return values

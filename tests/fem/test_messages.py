@@ -9,7 +9,7 @@ import pytest
 from mesh_arrays import grid, mesh_of
 
 from fenics_tfeti import InputError
-from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point, raise_where
 
 POINTS = np.array([[1.0, 2.0], [0.0, 3.0], [1.0, -1.0], [0.0, 5.0]])
 
@@ -39,4 +39,4 @@ def test_no_points_are_no_error():
 
 def test_digits_are_those_of_the_size_of_the_mesh():
     domain = mesh_of(MPI.COMM_SELF, "quadrilateral", *grid((2, 2)))
-    assert format_mesh_point(domain, np.array([1e-9, 1.0 / 3.0])) == "(0, 0.333333)"
+    assert first_mesh_point(domain, np.array([[2.0, 0.0], [1e-9, 1.0 / 3.0]])) == "(0, 0.333333)"

@@ -56,7 +56,7 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
         if domain.comm.rank == 0:
             warn_user(
                 f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
-                f"{ratio:.4g}: the result is much too stiff. {remedy}",
+                f"{ratio:.4g}: the result is much too stiff. {remedy}"
             )
 
 
@@ -64,8 +64,8 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
     """Return some cells of each body and tag, and those where coefficients are extreme."""
     groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
     form = forms.bilinear
-    if form.cell_tag is not None:
-        groups += [np.flatnonzero(form.cell_tag == tag) for tag in form.cell_ids]
+    if "cell" in form.tags:
+        groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in form.ids["cell"]]
     selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
         if values.dtype.kind == "f" and len(values):

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, warn_user
-from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
 from fenics_tfeti.fem.contact.mortar.cells import (
     Cells,
@@ -26,7 +26,7 @@ from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
+from fenics_tfeti.fem.io.structured import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.fem.user_data import is_number

@@ -79,11 +79,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
         ratio = Constant(mesh, float(poisson_ratio or 0.0))
         normal = ratio * ufl.tr(stress)
         stress = ufl.as_tensor(
-            [
-                [stress[0, 0], stress[0, 1], 0],
-                [stress[1, 0], stress[1, 1], 0],
-                [0, 0, normal],
-            ]
+            [[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, normal]]
         )
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)

@@ -34,7 +34,7 @@ class ExteriorFacets:
         """Find the facets of this rank's cells that have no neighbour."""
         cell, facet = np.nonzero(exterior_cell_facets(domain))
         nodes = oriented_corners(domain, cell, facet)
-        # the numbers in the input are those of all ranks, see `surface_nodes`
+        # the numbers in the input are those of all ranks, see `_surface_nodes`
         input_numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
         return ExteriorFacets(
             cell_facets(domain)[cell, facet],
