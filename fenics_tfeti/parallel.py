@@ -67,12 +67,15 @@ def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
 
 def concatenate_buffers(comm: MPI.Intracomm, *parts: Array) -> list[Array]:
     """Concatenate vectors of equal length and numeric type as `concatenate_ranks`, unpickled."""
+    rows: Array = np.rec.fromarrays(parts)
     counts = np.empty(comm.size, dtype=np.int64)
-    comm.Allgather(np.array([parts[0].size]), counts)
-    whole = [np.empty(int(counts.sum()), dtype=part.dtype) for part in parts]
-    for part, result in zip(parts, whole, strict=True):
-        comm.Allgatherv(np.ascontiguousarray(part), [result, counts.tolist()])
-    return whole
+    comm.Allgather(np.array([rows.size]), counts)
+    whole = np.empty(int(counts.sum()), dtype=rows.dtype)
+    kind = MPI.BYTE.Create_contiguous(rows.itemsize).Commit()
+    sent, received = (x.view(np.uint8) for x in (rows, whole))
+    comm.Allgatherv([sent, rows.size, kind], [received, counts.tolist(), kind])
+    kind.Free()
+    return [np.ascontiguousarray(whole[name]) for name in rows.dtype.names or ()]
 
 
 def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:

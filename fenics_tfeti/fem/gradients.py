@@ -80,9 +80,38 @@ class CellGradients:
         nodes, vertices = _compat.cell_dofs(space), _compat.geometry_cells(domain)
         for batch in batches(owned_cells(domain), _CELLS):
             x = domain.geometry.x[vertices[batch], :gdim]
-            jacobian = np.einsum("dpn,cna->cpad", shapes[0], x)
-            inverse = np.linalg.inv(jacobian)
-            gradients = [
-                np.einsum("dpn,cna->cpad", shapes[1], u[nodes[batch]]) @ inverse for u in fields
-            ]
-            yield GradientBatch(gradients, np.abs(np.linalg.det(jacobian)), x)
+            inverse, determinant = _inverse(_derivatives(shapes[0], x))
+            derivatives = (_derivatives(shapes[1], u[nodes[batch]]) for u in fields)
+            gradients = [np.transpose(_product(D, inverse), (3, 2, 0, 1)) for D in derivatives]
+            yield GradientBatch(gradients, np.abs(determinant).T, x)
+
+
+def _derivatives(shapes: Vector, values: Vector) -> Vector:
+    """Return derivatives (a, d, p, k) of shape functions (d, p, n) with node values (k, n, a)."""
+    k, n, a = values.shape
+    d, p, _ = shapes.shape
+    product = shapes.reshape(d * p, n) @ values.transpose(1, 2, 0).reshape(n, a * k)
+    return product.reshape(d, p, a, k).transpose(2, 0, 1, 3)
+
+
+def _product(A: Vector, B: Vector) -> Vector:
+    """Return AB of small matrices (d, d, p, k), entry by entry for all of them at once."""
+    product: Vector = np.sum([A[:, i, None] * B[None, i] for i in range(len(B))], axis=0)
+    return product
+
+
+def _inverse(A: Vector) -> tuple[Vector, Vector]:
+    """Return the inverses of (d, d, p, k) matrices, d = 2 or 3, and their determinants (p, k)."""
+    if len(A) == 2:
+        adjugate = np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]])
+    else:
+        # columns of the inverse are cross products of rows
+        after, last = np.roll(A, -1, axis=0), np.roll(A, -2, axis=0)
+        adjugate = np.swapaxes(
+            np.roll(after, -1, axis=1) * np.roll(last, -2, axis=1)
+            - np.roll(after, -2, axis=1) * np.roll(last, -1, axis=1),
+            0,
+            1,
+        )
+    determinant = np.sum(A[0] * adjugate[:, 0], axis=0)
+    return adjugate / determinant, determinant

@@ -32,8 +32,8 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     size, strain2 = _cell_measures(uh)
     large = size > _LARGE
     sums, largest = np.zeros((2, len(energy))), np.zeros(len(energy))
-    np.add.at(sums[0], bodies.of_cell, strain2)
-    np.add.at(sums[1], bodies.of_cell[large], strain2[large])
+    sums[0] = np.bincount(bodies.of_cell, strain2, len(energy))
+    sums[1] = np.bincount(bodies.of_cell[large], strain2[large], len(energy))
     np.maximum.at(largest, bodies.of_cell, size)
     comm.Allreduce(MPI.IN_PLACE, sums)
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)

@@ -23,9 +23,10 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
 from fenics_tfeti.feti.coarse.resistance import weak_motions
-from fenics_tfeti.feti.factors.cholesky import SparseLDL
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky, choose_package
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
@@ -138,16 +139,21 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     (n, n) scipy.sparse.csr_matrix
         K itself where K R is rounding.
     """
-    R, number = rigid_body_modes(coordinates), FIXING_NODES
+    R, number, package = rigid_body_modes(coordinates), FIXING_NODES, choose_package("auto")
     while True:
         K, fixed = _projected(stiffness, coordinates, R, number)
         if K is stiffness:
             return K
         rest = np.setdiff1d(np.arange(len(R)), fixed)
-        interior = SparseLDL(K[rest][:, rest].tocsr()) if rest.size else None
-        if interior is None or not interior.negative:
+        try:
+            interior = None
+            if rest.size:
+                inside = K[rest][:, rest].tocsr()
+                interior = SparseCholesky(inside, package, width=coordinates.shape[1])
+        except FactorizationError:
+            number *= 2
+        else:
             return _without_negative_energies(K, R, fixed, rest, interior)
-        number *= 2
 
 
 def _projected(
@@ -169,7 +175,7 @@ def _projected(
 
 
 def _without_negative_energies(
-    K: sp.csr_matrix, R: Vector, fixed: Numbers, rest: Numbers, interior: SparseLDL | None
+    K: sp.csr_matrix, R: Vector, fixed: Numbers, rest: Numbers, interior: SparseCholesky | None
 ) -> sp.csr_matrix:
     """Return K with the absolute eigenvalues of its Schur complement on the fixed unknowns.
 

@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
 from fenics_tfeti.feti.coarse.column_groups import sorted_by
-from fenics_tfeti.feti.tolerances import WEAK
+from fenics_tfeti.feti.tolerances import MANY, WEAK, rounding
 from fenics_tfeti.parallel import concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -30,7 +30,7 @@ _PASSES = 3
 _FULL = 0.1
 # bodies whose numbers of rows are the same up to this are treated together
 _ROWS = 8
-# order up to which the eigenvectors of a Gram matrix are found by dense algebra
+# order up to which the eigenvalues of a Gram matrix are found by dense algebra
 _LARGE = 200
 # inverse iteration for larger ones: first number of vectors, steps, and shift relative to the limit
 # of the eigenvalues that are looked for
@@ -52,6 +52,9 @@ def weak_motions(
     first, and among these the translations. A motion of one body resisted by `unresisted` or less
     counts as free. Collective.
     """
+    E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
+    if rows.shape[1] <= _LARGE and _resist_all(comm, rows, E, max(below, unresisted)):
+        return np.zeros(0), sp.csc_matrix((rows.shape[1], 0))
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
     number = free.sum(axis=1)
@@ -59,10 +62,17 @@ def weak_motions(
     for k in np.unique(number[number > 1]):
         vectors[number == k, :, -k:] = _translations_first(vectors[number == k, :, -k:])
     alone, others = _block_columns(vectors, free), _block_columns(vectors, ~free)
-    E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
     resistance, together = _of_several_bodies(comm, rows @ others, E @ others, below)
     motions = sp.hstack([alone, others @ together], format="csc")
     return np.concatenate([values[free], resistance]), motions
+
+
+def _resist_all(comm: MPI.Intracomm, B: sp.csr_matrix, E: sp.csr_matrix, limit: float) -> bool:
+    """Tell whether the Gram matrix shows that no motion is resisted by a limit or less."""
+    gram = (B.T @ B).toarray()
+    comm.Allreduce(MPI.IN_PLACE, gram)
+    values = np.linalg.eigvalsh(gram + (E.T @ E).toarray())
+    return bool(values.size and values[0] > limit**2 + rounding(values[-1], MANY))
 
 
 def _of_single_bodies(

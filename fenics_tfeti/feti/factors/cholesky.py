@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
@@ -20,7 +20,7 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.factors.compiled import supernodal_library
-from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.supernodal import DowndatedFactor, NotDefinite, SupernodalFactor
 from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
@@ -94,6 +94,10 @@ def describe_package(package: str) -> str:
 
 # largest residual of a useful factor, relative to the right-hand side
 _USELESS = 1e-6
+# the same of a downdated one: another factor takes its place
+_ACCURATE = 1e-9
+# springs that make a tangent definite, at most: for each of them the factorisation starts again
+_SPRINGS = 8
 # more work than any solve has: rslab's solves stay on the thread that calls them
 _NEVER = 2**62
 # unknowns from which on CHOLMOD tries METIS' ordering too: the factors of smaller matrices are as
@@ -152,20 +156,22 @@ class SparseFactor:
     def between(self, unknowns: Numbers) -> Operator | None:
         """Return the inverse between some unknowns, for rows (k, b), where it is compiled."""
         factor = self._factor
-        return factor.between(unknowns) if isinstance(factor, SupernodalFactor) else None
+        if isinstance(factor, SupernodalFactor | DowndatedFactor):
+            return factor.between(unknowns)
+        return None
 
     @property
     def entries(self) -> int:
         """Number of the factor's entries."""
         return self._factor.entries
 
-    def _check_by_a_solve(self, matrix: sp.csr_matrix) -> float:
-        """Find inaccurate factors, and return the energy b'x of the probe."""
-        b = matrix @ np.random.default_rng(0).standard_normal(matrix.shape[0])
+    def _check_by_a_solve(self, matrix: Operator, size: int, useless: float = _USELESS) -> float:
+        """Find inaccurate factors of a matrix, and return the energy b'x of the probe."""
+        b = matrix(np.random.default_rng(0).standard_normal(size))
         x = self.solve(b)
         with np.errstate(invalid="ignore", over="ignore"):
-            residual = np.linalg.norm(matrix @ x - b) / np.linalg.norm(b)
-            if not residual <= _USELESS:
+            residual = np.linalg.norm(matrix(x) - b) / np.linalg.norm(b)
+            if not residual <= useless:
                 raise _Unusable(f"relative residual {residual:.1e}")
             return float(b @ x)
 
@@ -174,9 +180,10 @@ class SparseCholesky(SparseFactor):
     """The factor of a sparse symmetric positive definite matrix.
 
     The matrix has both triangles; `FactorizationError` if it is not positive definite. Its unknowns
-    are those of nodes, `width` each. A `quick` factor is for few solves: CHOLMOD takes PETSc's
-    nested dissection and tries no other ordering. That is half the time for a large coarse problem
-    on a grid, and a factor up to two fifths larger.
+    are those of nodes, `width` each. A matrix with a name may take CHOLMOD's ordering of the last
+    one of that name, which has about the same pattern. A `quick` factor is for few solves: CHOLMOD
+    takes PETSc's nested dissection and tries no other ordering. That is half the time for a large
+    coarse problem on a grid, and a factor up to two fifths larger.
 
     Examples
     --------
@@ -187,20 +194,74 @@ class SparseCholesky(SparseFactor):
     """
 
     def __init__(
-        self, matrix: sp.csr_matrix, package: str, quick: bool = False, width: int = 1
+        self,
+        matrix: sp.csr_matrix,
+        package: str,
+        quick: bool = False,
+        width: int = 1,
+        name: Hashable = None,
     ) -> None:
         try:
-            super().__init__(_factor(matrix, package, quick, width=width))
+            super().__init__(_factor(matrix, package, quick, width=width, name=name))
             if package != "cholmod" and self._factor.negative:
                 raise _Unusable(f"{self._factor.negative} negative pivots")
             # CHOLMOD's failures, which PETSc does not pass on
-            if not self._check_by_a_solve(matrix) > 0.0:
+            if not self._check_by_a_solve(matrix.dot, matrix.shape[0]) > 0.0:
                 raise _Unusable("negative energy")
         except _Unusable as error:
             raise FactorizationError(
                 f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
                 f"{matrix.shape[0]} is not positive definite"
             ) from error
+
+
+class DowndatedCholesky(SparseFactor):
+    """The inverse of A - UU', which may be indefinite, by a Cholesky factor; its inertia.
+
+    A (n, n) is as for `SparseCholesky`, and U (n, k) has few columns. Where A has a few negative
+    eigenvalues, springs are added that make it positive definite, in place, and taken off again by
+    further columns of U. `FactorizationError` if there are more of them, if A - UU' is singular, or
+    where CHOLMOD's solves are not compiled.
+
+    Examples
+    --------
+    >>> import numpy as np, scipy.sparse as sp
+    >>> A, U = sp.csr_matrix(np.diag([1.0, 2.0])), np.array([[0.0], [2.0]])
+    >>> factor = DowndatedCholesky(A, U, "cholmod")
+    >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist(), factor.negative
+    ([3.0, -2.0], 1)
+    """
+
+    def __init__(
+        self,
+        matrix: sp.csr_matrix,
+        U: Vector,
+        package: str,
+        width: int = 1,
+        name: Hashable = None,
+    ) -> None:
+        try:
+            library = supernodal_library()[0] if package == "cholmod" else None
+            if library is None:
+                raise _Unusable("it needs CHOLMOD with compiled solves")
+            # the springs are added to these arrays
+            matrix.sort_indices()
+            spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
+            factor = SupernodalFactor(library, matrix, width, methods, name, spring, _SPRINGS)
+            held = np.zeros((matrix.shape[0], factor.held.size))
+            held[factor.held, np.arange(factor.held.size)] = np.sqrt(spring)
+            U = np.hstack([U, held])
+            super().__init__(DowndatedFactor(factor, U))
+            self._check_by_a_solve(lambda x: matrix @ x - U @ (U.T @ x), matrix.shape[0], _ACCURATE)
+        except (NotDefinite, _Unusable) as error:
+            raise FactorizationError(
+                f"the downdated Cholesky factorisation by {package} failed ({error})"
+            ) from error
+
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues."""
+        return self._factor.negative
 
 
 class SparseLDL(SparseFactor):
@@ -225,7 +286,7 @@ class SparseLDL(SparseFactor):
             )
         try:
             super().__init__(_factor(matrix, package, definite=False))
-            self._check_by_a_solve(matrix)
+            self._check_by_a_solve(matrix.dot, matrix.shape[0])
         except _Unusable as error:
             raise FactorizationError(
                 f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
@@ -244,13 +305,14 @@ def _factor(
     quick: bool = False,
     definite: bool = True,
     width: int = 1,
+    name: Hashable = None,
 ) -> _Factor:
     if package == "rslab":
         return _RslabFactor(matrix)
     if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
         try:
-            methods = PETSc.Options().getInt(_ORDERINGS, _orderings(matrix.shape[0]))
-            return SupernodalFactor(library, matrix, width, methods)
+            methods = _cholmod_orderings(matrix.shape[0])
+            return SupernodalFactor(library, matrix, width, methods, name)
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)
@@ -360,6 +422,11 @@ def _orderings(size: int, quick: bool = False) -> int:
     if size < _TRY_METIS:
         return 0
     return 1 if quick else 3
+
+
+def _cholmod_orderings(size: int) -> int:
+    """Return CHOLMOD's number of orderings that the user has chosen, or else ours."""
+    return int(PETSc.Options().getInt(_ORDERINGS, _orderings(size)))
 
 
 @contextmanager

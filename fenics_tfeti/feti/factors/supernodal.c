@@ -257,8 +257,10 @@ void supernodal_free(Factor *F)
 /* An ordering (n,) of the unknowns by one of their nodes, which have `width` unknowns each. */
 static int order(const cholmod_sparse *A, int width, int *ordering, cholmod_common *common)
 {
-  int n = A->nrow, nodes = 0, count = 0, *from = A->p, *start = ordering + n, *column = A->i;
-  int *index = start + n + 1;
+  int n = A->nrow, nodes = 0, count = 0, *from = A->p, *column = A->i;
+  int *start = malloc(((size_t)n + 1 + from[n]) * sizeof(int)), *index = start + n + 1;
+  if (!start)
+    return 0;
   for (int i = 0; i < n; i += width) {
     start[nodes++] = count;
     for (int q = from[i]; q < from[i + 1]; q++)
@@ -274,33 +276,66 @@ static int order(const cholmod_sparse *A, int width, int *ordering, cholmod_comm
     for (int i = width * ((int *)L->Perm)[k], c = 0; c < width && i + c < n; c++)
       ordering[count++] = i + c;
   cholmod_free_factor(&L, common);
+  free(start);
   return count == n;
 }
 
+/* The symbolic factor of a given ordering. */
+static cholmod_factor *analyse(cholmod_sparse *A, int *ordering, cholmod_common *common)
+{
+  common->nmethods = 1, common->method[0].ordering = CHOLMOD_GIVEN;
+  common->supernodal = CHOLMOD_SUPERNODAL, common->final_ll = 1;
+  return cholmod_analyze_p(A, ordering, NULL, 0, common);
+}
+
+/* The numeric factor. Where a pivot is not positive, the diagonal entry of its unknown is increased,
+   in the matrix itself, by `spring`, and the unknown is written to `held`: at most `*count` times,
+   which becomes their number. */
+static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *held, int *count,
+                     cholmod_common *common)
+{
+  const int most = *count, *start = A->p, *column = A->i;
+  for (*count = 0; cholmod_factorize(A, L, common) && L->minor < L->n && *count < most;) {
+    int k = ((int *)L->Perm)[L->minor], q = start[k];
+    while (column[q] != k)
+      q++;
+    ((double *)A->x)[q] += spring;
+    held[(*count)++] = k;
+  }
+  return common->status >= CHOLMOD_OK && L->minor == L->n;
+}
+
 /* The factor of a symmetric matrix with both triangles and sorted rows, and the place (n,) of each
-   unknown in it; NULL if the matrix is not positive definite, or without memory. */
+   unknown in it; NULL if the matrix is not positive definite with the springs, see above, or without
+   memory. The ordering (n,) is that of a similar matrix if it leads to at most `*most` entries; else
+   it is found, and `*most` becomes the number of entries. */
 Factor *supernodal_factor(int n, int *start, int *index, double *value, int width, int methods,
-                          int *place, long *sizes)
+                          double *most, int *ordering, int *place, long *sizes, double spring,
+                          int *held, int *count)
 {
   cholmod_sparse A = {.nrow = n, .ncol = n, .nzmax = start[n], .p = start, .i = index, .x = value,
                       .stype = 1, .itype = CHOLMOD_INT, .xtype = CHOLMOD_REAL,
                       .dtype = CHOLMOD_DOUBLE, .sorted = 1, .packed = 1};
   Factor *F = calloc(1, sizeof(Factor));
-  int *ordering = malloc((2 * (size_t)n + 1 + start[n]) * sizeof(int)), done = 0;
+  int done = 0;
   cholmod_common common;
   cholmod_start(&common);
-  common.print = 0, common.nmethods = methods, common.supernodal = CHOLMOD_SIMPLICIAL;
-  if (F && ordering && order(&A, width, ordering, &common)) {
-    common.nmethods = 1, common.method[0].ordering = CHOLMOD_GIVEN;
-    common.supernodal = CHOLMOD_SUPERNODAL, common.final_ll = 1;
-    F->L = cholmod_analyze_p(&A, ordering, NULL, 0, &common);
-    done = F->L && cholmod_factorize(&A, F->L, &common) && F->L->minor == F->L->n &&
-           pack_all(F, sizes, &common);
+  common.print = 0;
+  if (F && *most > 0.0)
+    F->L = analyse(&A, ordering, &common);
+  if (F && F->L && common.lnz > *most)
+    cholmod_free_factor(&F->L, &common);
+  if (F && !F->L) {
+    common.nmethods = methods, common.supernodal = CHOLMOD_SIMPLICIAL;
+    if (order(&A, width, ordering, &common))
+      F->L = analyse(&A, ordering, &common);
+    *most = common.lnz;
   }
+  done = F && F->L && factorize(&A, F->L, spring, held, count, &common) &&
+         pack_all(F, sizes, &common);
   for (int i = 0; done && i < n; i++)
     place[((int *)F->L->Perm)[i]] = i;
   cholmod_finish(&common);
-  free(ordering);
   if (!done && F)
     supernodal_free(F);
   return done ? F : NULL;

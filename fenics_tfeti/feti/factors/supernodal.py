@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import weakref
+from collections.abc import Hashable
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +14,10 @@ from fenics_tfeti.typing import Array, Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many
 _LANES = 8
+# numbers in orderings that are kept, at most: as many unknowns
+_MOST = 2**24
+# a kept ordering serves while it leads to so many times the entries at most
+_SIMILAR = 1.2
 
 
 class NotDefinite(Exception):
@@ -23,18 +28,54 @@ def _pointer(array: Array) -> ctypes.c_void_p:
     return ctypes.c_void_p(array.ctypes.data)
 
 
+class _Orderings:
+    """The orderings of the last matrices, and their numbers of entries, by name.
+
+    A similar matrix, such as that of the next Newton step, may have a few other entries.
+    """
+
+    def __init__(self) -> None:
+        self._kept: dict[Hashable, tuple[Indices, float]] = {}
+        self._numbers = 0
+
+    def find(self, name: Hashable, size: int) -> tuple[Indices, float]:
+        """Return a copy of an ordering and its entries; room and 0 if there is none."""
+        ordering, entries = self._kept.get(name, (np.empty(size, dtype=np.int32), 0.0))
+        return ordering.copy(), entries
+
+    def keep(self, name: Hashable, ordering: Indices, entries: float) -> None:
+        """Keep an ordering; all are forgotten when they are too many."""
+        if self._numbers > _MOST:
+            self._kept.clear()
+            self._numbers = 0
+        self._numbers += ordering.size if name not in self._kept else 0
+        self._kept[name] = ordering, entries
+
+
+_orderings = _Orderings()
+
+
 class SupernodalFactor:
     """The Cholesky factor of a sparse symmetric positive definite matrix.
 
     `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
-    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them.
-    `NotDefinite` if the matrix is not positive definite.
+    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them. A
+    matrix with a name takes the ordering of the last one of that name while it is as good.
+    `NotDefinite` if the matrix is not positive definite. A `spring` is added to its diagonal, in
+    place, where a pivot is not positive, at up to `most` unknowns, which are `held` then.
     """
 
     negative = 0
 
     def __init__(
-        self, library: ctypes.CDLL, matrix: sp.csr_matrix, width: int = 1, methods: int = 0
+        self,
+        library: ctypes.CDLL,
+        matrix: sp.csr_matrix,
+        width: int = 1,
+        methods: int = 0,
+        name: Hashable = None,
+        spring: float = 0.0,
+        most: int = 0,
     ) -> None:
         rows = matrix if matrix.has_sorted_indices else matrix.sorted_indices()
         size = rows.shape[0]
@@ -43,14 +84,22 @@ class SupernodalFactor:
         arrays = [x.astype(np.int32, copy=False) for x in (rows.indptr, rows.indices)]
         arrays.append(rows.data.astype(np.float64, copy=False))
         figures = np.zeros(2, dtype=np.int64)
+        held, count = np.empty(most, dtype=np.int32), ctypes.c_int(most)
+        key = None if name is None else (name, size, width, methods)
+        ordering, entries = _orderings.find(key, size)
+        limit = ctypes.c_double(_SIMILAR * entries)
         with one_thread():
             address = library.supernodal_factor(
-                size, *map(_pointer, arrays), width, methods, _pointer(self._places),
-                _pointer(figures),
+                size, *map(_pointer, arrays), width, methods, ctypes.byref(limit),
+                _pointer(ordering), _pointer(self._places), _pointer(figures),
+                ctypes.c_double(spring), _pointer(held), ctypes.byref(count),
             )  # fmt: skip
         if not address:
             raise NotDefinite("a pivot is not positive")
+        if key is not None and limit.value != _SIMILAR * entries:
+            _orderings.keep(key, ordering, limit.value)
         self._factor = ctypes.c_void_p(address)
+        self.held: Indices = held[: count.value]
         self.entries, longest = map(int, figures)
         self._room = size + longest
         weakref.finalize(self, library.supernodal_free, self._factor).atexit = False
@@ -77,3 +126,36 @@ class SupernodalFactor:
             _pointer(result), _pointer(work),
         )  # fmt: skip
         return result
+
+
+class DowndatedFactor:
+    """The inverse A^{-1} + Y C^{-1} Y' of A - UU', with Y = A^{-1} U and C = I - U'Y.
+
+    By Sylvester's law C has the negative eigenvalues of A - UU'. `NotDefinite` if C is singular.
+    """
+
+    def __init__(self, factor: SupernodalFactor, U: Vector) -> None:
+        self._factor, self.entries = factor, factor.entries
+        self._Y = factor.solve_columns(U)
+        C = np.eye(U.shape[1]) - U.T @ self._Y
+        values, vectors = np.linalg.eigh(C)
+        if not values.all():
+            raise NotDefinite("the downdated matrix is singular")
+        self.negative = int(np.count_nonzero(values < 0.0))
+        self._C_inverse = (vectors / values) @ vectors.T
+
+    def solve(self, b: Vector) -> Vector:
+        """Solve for a vector (n,)."""
+        x: Vector = self._factor.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return x
+
+    def solve_columns(self, b: Vector) -> Vector:
+        """Solve for the columns of a matrix (n, k) in Fortran order."""
+        x: Vector = self._factor.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return x
+
+    def between(self, unknowns: Numbers) -> Operator:
+        """Return the inverse between some unknowns, for the rows of a matrix (k, b)."""
+        inverse, Y = self._factor.between(unknowns), self._Y[unknowns]
+        Y_C = Y @ self._C_inverse
+        return lambda rows: inverse(rows) + (rows @ Y_C) @ Y.T

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky, SparseFactor, SparseLDL
+from fenics_tfeti.feti.factors.cholesky import (
+    DowndatedCholesky,
+    SparseCholesky,
+    SparseFactor,
+    SparseLDL,
+)
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
+from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -34,6 +42,31 @@ def regularized_stiffness(
         shape=stiffness.shape,
     )
     return (stiffness + Q).tocsr()
+
+
+def _indefinite_factor(
+    K: sp.csr_matrix,
+    R: Vector,
+    rigid: Vector,
+    fixed: Numbers,
+    package: str,
+    gdim: int,
+    name: Hashable,
+) -> DowndatedCholesky | SparseLDL:
+    """Return the factor of K + rho Q of a tangent K, whose kernel R is a part of its rigid motions.
+
+    Where the other rigid motions alone have negative energies, as under pressure, K with all of
+    them held is definite.
+    """
+    resisted = np.linalg.qr(rigid[fixed])[0]
+    basis = np.linalg.qr(R[fixed])[0]
+    left = np.linalg.svd(resisted - basis @ (basis.T @ resisted), full_matrices=False)[0]
+    U = np.zeros((K.shape[0], rigid.shape[1] - R.shape[1]))
+    U[fixed] = np.sqrt(K.diagonal().max()) * left[:, : U.shape[1]]
+    try:
+        return DowndatedCholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, name)
+    except FactorizationError:
+        return SparseLDL(regularized_stiffness(K, R, fixed))
 
 
 class GeneralizedInverse:
@@ -64,13 +97,19 @@ class GeneralizedInverse:
         if subdomain.is_rigid:
             return
         images = symmetries.nodes(gdim) if symmetries else None
+        # that of the tangents of this subdomain in other Newton steps, too
+        name = hash(subdomain.nodes.tobytes())
+        x, is_definite = subdomain.coordinates_in_frame, subdomain.kernel == "rigid"
+        held = R if is_definite else rigid_body_modes(x)
         try:
-            nodes = fixing_nodes(subdomain.coordinates_in_frame, R, number, images)
-            regularized = regularized_stiffness(K, R, unknowns_of_nodes(nodes, gdim))
-            if subdomain.kernel == "rigid":
-                self._factor = SparseCholesky(regularized, package, width=gdim)
+            fixed = unknowns_of_nodes(fixing_nodes(x, held, number, images), gdim)
+            if is_definite:
+                regularized = regularized_stiffness(K, R, fixed)
+                self._factor = SparseCholesky(regularized, package, width=gdim, name=name)
             else:
-                self._factor = indefinite = SparseLDL(regularized)
+                self._factor = indefinite = _indefinite_factor(
+                    K, R, held, fixed, package, gdim, name
+                )
                 self.negative = indefinite.negative
         except FactorizationError as error:
             place = format_point(

@@ -16,12 +16,14 @@ from fenics_tfeti import FactorizationError, InputError
 from fenics_tfeti.feti.factors import cholesky
 from fenics_tfeti.feti.factors.cholesky import (
     DistributedCholesky,
+    DowndatedCholesky,
     SparseCholesky,
     SparseLDL,
     available_packages,
     check_real_numbers,
     choose_package,
 )
+from fenics_tfeti.feti.factors.compiled import supernodal_library
 
 N = 40
 each_package = pytest.mark.parametrize("package", available_packages())
@@ -230,3 +232,49 @@ def test_cholmod_alone_has_no_indefinite_factor(monkeypatch):
     monkeypatch.setattr(cholesky, "_is_available", lambda name: name == "cholmod")
     with pytest.raises(FactorizationError, match="install a PETSc with MUMPS"):
         SparseLDL(definite())
+
+
+compiled = pytest.mark.skipif(
+    "cholmod" not in available_packages() or supernodal_library()[0] is None,
+    reason="no compiled solves",
+)
+
+
+@compiled
+@pytest.mark.parametrize("columns", [0, 2])
+@pytest.mark.parametrize("negative", [0, 1, 7])
+def test_downdated_factor_has_the_inertia(negative, columns):
+    random = np.random.default_rng(1)
+    # soft directions, as those of rotations are
+    values = np.append(np.full(negative, -0.01), np.linspace(1.0, 10.0, N - negative))
+    vectors = np.linalg.qr(random.standard_normal((N, N)))[0]
+    A = sp.csr_matrix((vectors * values) @ vectors.T)
+    U, b = random.standard_normal((N, columns)), random.standard_normal((N, 3))
+    expected = A.toarray() - U @ U.T
+    factor = DowndatedCholesky(A.copy(), U, "cholmod")
+    assert factor.negative == np.count_nonzero(np.linalg.eigvalsh(expected) < 0.0)
+    np.testing.assert_allclose(factor.solve(b), np.linalg.solve(expected, b), rtol=1e-9)
+    np.testing.assert_allclose(factor.solve(b[:, 0]), factor.solve(b)[:, 0], rtol=1e-9)
+    some = np.arange(3, N, 4)
+    inverse = np.linalg.inv(expected)[np.ix_(some, some)]
+    rows = random.standard_normal((2, some.size))
+    np.testing.assert_allclose(factor.between(some)(rows), rows @ inverse, atol=1e-9)
+
+
+@compiled
+def test_too_many_negative_eigenvalues_are_not_downdated():
+    with pytest.raises(FactorizationError, match="a pivot is not positive"):
+        DowndatedCholesky(indefinite(20), np.zeros((N, 0)), "cholmod")
+
+
+@compiled
+def test_singular_matrix_is_not_downdated():
+    A, U = sp.identity(N, format="csr"), np.eye(N, 1)
+    with pytest.raises(FactorizationError, match=r"downdated .* failed"):
+        DowndatedCholesky(A, U, "cholmod")
+
+
+def test_downdated_factor_needs_compiled_solves(monkeypatch):
+    monkeypatch.setattr(cholesky, "supernodal_library", lambda: (None, "no compiler"))
+    with pytest.raises(FactorizationError, match="compiled solves"):
+        DowndatedCholesky(definite(), np.zeros((N, 0)), "cholmod")

@@ -122,3 +122,22 @@ def test_rows_need_not_be_sorted():
     b = np.ones(A.shape[0])
     np.testing.assert_allclose(A @ factor(A).solve(b), b, rtol=1e-12)
     assert not A.has_sorted_indices
+
+
+def test_ordering_of_a_similar_matrix_serves_again():
+    A = grid(9, 8, 7, width=3)
+    # two entries more
+    other = A + sp.csr_matrix(([-0.1, -0.1], ([0, 900], [900, 0])), shape=A.shape)
+    b = np.random.default_rng(0).standard_normal(A.shape[0])
+    library = supernodal_library()[0]
+    first = SupernodalFactor(library, A, 3, name="similar")
+    second = SupernodalFactor(library, other, 3, name="similar")
+    np.testing.assert_array_equal(second._places, first._places)
+    np.testing.assert_allclose(other @ second.solve(b), b, atol=1e-12)
+
+
+def test_ordering_of_another_matrix_does_not_serve():
+    library, name = supernodal_library()[0], "as large"
+    SupernodalFactor(library, grid(504, width=3), 3, name=name)
+    A = grid(9, 8, 7, width=3)
+    assert SupernodalFactor(library, A, 3, name=name).entries == factor(A, 3).entries
