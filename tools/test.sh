@@ -40,9 +40,11 @@ if "$mpirun" --version | grep -q "Open MPI"; then
 fi
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
-# Those of tests/mpi, and those marked `ranks` in other files.
-mapfile -t files < <(grep -rl --include="test_*.py" "mark\.ranks" tests)
 for ranks in ${MPI_RANKS:-2 3}; do
+    # those of tests/mpi, and those marked for this number in other files
+    marked="mark\.ranks"
+    [ "$ranks" -le 2 ] || marked="mark\.ranks(.*3)"
+    mapfile -t files < <(grep -rl --include="test_*.py" "$marked" tests)
     echo "== $1: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
         "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
