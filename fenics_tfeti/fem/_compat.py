@@ -424,7 +424,8 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
 
     - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
     - 0.10 and 0.11 have ``dolfinx.io.gmsh``, which returns an object with these attributes, and
-      None for facet tags where no facet is tagged.
+      None for facet tags where no facet is tagged;
+    - 0.5.2 returns tags of C++, which cannot have attributes of Python: cell tags are made anew.
     """
     try:
         from dolfinx.io import gmsh as reader
@@ -440,7 +441,8 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
     if facet_tags is None:
         none = np.empty(0, dtype=np.int32)
         facet_tags = mesh.meshtags(domain, domain.topology.dim - 1, none, none)
-    return domain, cell_tags, facet_tags
+    dim, indices, values = cell_tags.dim, cell_tags.indices, cell_tags.values
+    return domain, mesh.meshtags(domain, dim, indices, values), facet_tags
 
 
 def entity_nodes(domain: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Indices:

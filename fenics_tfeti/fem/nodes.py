@@ -40,7 +40,8 @@ class NodeMap:
     """
 
     def __init__(self, space: FunctionSpace) -> None:
-        self.space, self.comm = space, MeshComm(space.mesh)
+        self.space = space
+        self.comm: MPI.Intracomm = MeshComm(space.mesh)
         self.components: int = space.dofmap.index_map_bs
         self._map = space.dofmap.index_map
         self.first, end = self._map.local_range  # global numbers of the owned nodes
@@ -79,6 +80,10 @@ class NodeMap:
         """The end of the numbers that each rank owns. The first time collective."""
         return np.array(self.comm.allgather(self.first + self.owned), dtype=np.int64)
 
+    def owners(self, nodes: Numbers) -> Numbers:
+        """Return the ranks that own global nodes, in any shape. The first time collective."""
+        return np.searchsorted(self._ends, nodes, side="right")
+
     def values_at(self, values: Array, nodes: Numbers) -> Array:
         """Return the rows of values at nodes of any ranks, in any shape. Collective.
 
@@ -95,8 +100,7 @@ class NodeMap:
 
         Returned are local numbers and the data that arrive, in the order of ranks.
         """
-        owner = np.searchsorted(self._ends, nodes, side="right")
-        arrived, *rest = send_rows(self.comm, owner, nodes, *data)
+        arrived, *rest = send_rows(self.comm, self.owners(nodes), nodes, *data)
         return arrived - self.first, *rest
 
     def sum_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:
@@ -130,3 +134,32 @@ class NodeMap:
         lowest[nodes[order]] = number[order]
         local = np.flatnonzero(lowest >= 0)
         return self.sum_at_owners(self.to_global(local), lowest[local], np.minimum)
+
+
+class LocalNodes(NodeMap):
+    """Nodes that one rank has all of, with numbers of their own, whatever ranks own them."""
+
+    def __init__(self, nodes: NodeMap, size: int) -> None:
+        self.space, self.components, self.comm = nodes.space, nodes.components, MPI.COMM_SELF
+        self.first, self.owned, self.size, self.total = 0, size, size, size
+
+    def to_global(self, local: Array) -> Numbers:
+        """Return the same numbers."""
+        return local.astype(np.int64)
+
+    def to_local(self, nodes: Numbers) -> Numbers:
+        """Return the same numbers."""
+        return nodes
+
+    def owners(self, nodes: Numbers) -> Numbers:
+        """Return the one rank."""
+        return np.zeros_like(nodes)
+
+    def values_at(self, values: Array, nodes: Numbers) -> Array:
+        """Return the rows of values at nodes, in any shape."""
+        found: Array = values[nodes]
+        return found
+
+    def to_owners(self, nodes: Numbers, *data: Array) -> tuple[Array, ...]:
+        """Return the nodes and the data."""
+        return nodes, *data

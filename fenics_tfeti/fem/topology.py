@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,18 @@ def batches(count: int, size: int) -> Iterator[slice]:
     """Return slices of at most `size` that cover `count` rows."""
     for first in range(0, count, size):
         yield slice(first, min(first + size, count))
+
+
+def with_body_names(cell_tags: Any, names: Mapping[int, str]) -> Any:
+    """Let tags of cells carry the name of each tag that has one; return them."""
+    cell_tags.body_names = dict(names)
+    return cell_tags
+
+
+def body_names(cell_tags: Any) -> Mapping[int, str]:
+    """Return the names that tags of cells carry, by tag."""
+    names: Mapping[int, str] = getattr(cell_tags, "body_names", {})
+    return names
 
 
 def tags_of_cells(domain: Mesh, cell_tags: Any) -> Numbers:

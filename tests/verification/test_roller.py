@@ -88,7 +88,7 @@ def test_pressed_roller(slave, motion):
 @pytest.mark.parametrize("sign", [1, -1])
 def test_force_along_the_plates_is_an_error(sign):
     """It names the body and the motion."""
-    with pytest.raises(UnresistedMotion, match=r"body 1 \(cell tag 6\) in \[-0.1, 0.1\]") as error:
+    with pytest.raises(UnresistedMotion, match=r"body 1 \(roller\) in \[-0.1, 0.1\]") as error:
         problem(6, "plates", force=(sign * 1e3, 0.0)).solve()
     assert f"translation along ({sign}, 0)" in str(error.value)
 

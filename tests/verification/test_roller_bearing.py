@@ -16,7 +16,7 @@ from scenes import POISSON, Scene, elasticity, scalar_space
 
 from dolfinx import fem
 
-from fenics_tfeti import PeriodicPair, Plane
+from fenics_tfeti import PeriodicPair, Plane, RigidBody
 from fenics_tfeti.io import read_msh
 
 pytestmark = pytest.mark.once
@@ -43,11 +43,11 @@ def read(meshes, path, solids):
     return read_msh(path, MPI.COMM_SELF, 3)
 
 
-def young(bodies, stiffer=1.0):
-    """Return E, larger by a factor in the rings."""
+def young(bodies, stiffer=1.0, rings=("outer ring", "inner ring")):
+    """Return E, larger by a factor in rings."""
     E = fem.Function(scalar_space(bodies.mesh, "DG", 0))
     E.x.array[:] = YOUNG
-    for ring in ("outer ring", "inner ring"):
+    for ring in rings:
         if ring in bodies.names:
             E.x.array[bodies.cell_tags.find(bodies.names[ring])] *= stiffer
     return E
@@ -64,11 +64,11 @@ class Loaded:
         Loads of the rollers by the outer raceway [N].
     """
 
-    def __init__(self, meshes, path, bearing, load, stiffer=1.0):
+    def __init__(self, meshes, path, bearing, load, *stiffer, rtol=1e-4, rigid=None):
         bodies = read(meshes, path, meshes.solids_of(bearing))
         names, self.bearing = bodies.names, bearing
         scene = Scene.of(bodies)
-        scene.a = elasticity(scene.u, scene.v, young(bodies, stiffer))
+        scene.a = elasticity(scene.u, scene.v, young(bodies, *stiffer))
         bore = scene.ds(names["bore"])
         area = fem.assemble_scalar(fem.form(scene.constant(1.0) * bore))
         scene.add_load(names["bore"], np.asarray(load) / area)
@@ -80,8 +80,9 @@ class Loaded:
             scene.add_pair(*surfaces, name=f"{side} {row}", normal=normal)
         for row in rows if bearing.cage else ():
             scene.add_pair(names[f"pockets {row}"], names[f"rollers {row} side"], name=f"{row}")
-        options = {"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"}
-        self.problem = scene.problem(options=options)
+        options = {"rtol": rtol, "preconditioner": "dirichlet", "deflation": "on"}
+        body_of = {names[ring]: body for ring, body in (rigid or {}).items()}
+        self.problem = scene.problem(options=options, rigid=body_of)
         self.problem.solve()
         self.forces = [c.normal_force @ c.normal for c in self.problem.results]
         by_outer = self.problem.results[: 2 * bearing.rows : 2]
@@ -120,6 +121,20 @@ def test_single_row_in_thrust(meshes, tmp_path):
         own = [motion for motion in motions if motion.startswith(f"body {roller} ")]
         assert any("translation" in motion and "rotation" not in motion for motion in own)
         assert any("rotation" in motion and "translation" not in motion for motion in own)
+
+
+@pytest.mark.heavy
+def test_rigid_race(meshes, tmp_path):
+    """A rigid inner ring loads the rollers as an elastic one that is 1e6 times as stiff."""
+    bearing, load = coarse(meshes, rows=1), np.array([0.0, -100e3, -200e3])
+    body = RigidBody((0.0, 0.0, 0.0), name="race")
+    stiff, rigid = (
+        Loaded(meshes, tmp_path / "a.msh", bearing, load, *stiffer, rtol=1e-7, rigid=bodies)
+        for stiffer, bodies in (((1e6, ["inner ring"]), None), ((), {"inner ring": body}))
+    )
+    assert rigid.loads.max() > 2.0 * rigid.loads.min()
+    np.testing.assert_allclose(stiff.loads, rigid.loads, rtol=1e-4)
+    np.testing.assert_allclose(rigid.problem.rigid_bodies["race"].force, -load, atol=1e-5 * 200e3)
 
 
 @pytest.mark.heavy

@@ -76,8 +76,9 @@ def find_contacts(
     -------
     list of ContactPair
         By the numbers of the bodies, which names have. The slave is the body with the larger
-        facets. Where slave facets meet at a sharp edge there is a pair for either side. The list is
-        empty, with a warning, where no bodies are near each other.
+        facets; where sizes vary, the ratio of opposite facets counts where it is largest. Where
+        slave facets meet at a sharp edge there is a pair for either side. The list is empty, with
+        a warning, where no bodies are near each other.
 
     Raises
     ------
@@ -104,8 +105,10 @@ def find_contacts(
     bodies = find_bodies(mesh, cell_tags)
     check_cells(mesh, bodies)
     facets = ExteriorFacets.of(mesh, bodies)
-    opposite = _without_glued(comm, _opposite_facets(comm, facets, distance), bodies)
-    opposite = opposite[_is_from_slave(comm, opposite[:, :3], facets.sizes())]
+    opposite, ratio = _opposite_facets(comm, facets, distance)
+    apart = _is_apart(comm, opposite, bodies)
+    opposite, ratio = opposite[apart], ratio[apart]
+    opposite = opposite[_is_from_slave(comm, opposite, ratio)]
     surfaces = _surfaces(comm, opposite, facets, whole_faces)
     with raise_collectively(comm):
         if not surfaces and comm.rank == 0:
@@ -135,11 +138,12 @@ def find_contacts(
 
 def _opposite_facets(
     comm: MPI.Intracomm, facets: ExteriorFacets, distance: float | None
-) -> Numbers:
+) -> tuple[Numbers, Vector]:
     """Find the facets opposite to those of this rank. Collective.
 
     Rows (p, 4) are the bodies of a facet and of the one opposite it, the facet, and the number of
-    the other over all ranks.
+    the other over all ranks; the second result (p,) is the size of the other over that of the
+    facet, by their areas.
     """
     x, n = facets.corners, facets.number.size
     v, gdim = x.shape[1:]
@@ -154,8 +158,9 @@ def _opposite_facets(
     nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
     points = corners.reshape(-1, gdim)[first]
     others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
-    parts = [np.zeros((0, 4), dtype=np.int64)]
+    parts, ratios = [np.zeros((0, 4), dtype=np.int64)], [np.zeros(0)]
     if n:
+        areas = Planes.of(corners).area
         surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
         planes, tree = Planes.of(x), MasterTree(others.facets)
         for block in batches(n, 2048):
@@ -166,7 +171,9 @@ def _opposite_facets(
             cells = nearest_layers(cells, planes, tree)
             bodies = (facets.body[cells.slave], body[cells.master])
             parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
-    return np.concatenate(parts)
+            ratio = areas[cells.master] / planes.area[cells.slave]
+            ratios.append(ratio ** (1.0 / (gdim - 1)))
+    return np.concatenate(parts), np.concatenate(ratios)
 
 
 def _is_near(
@@ -191,8 +198,8 @@ def _is_near(
     return near
 
 
-def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Numbers:
-    """Leave out bodies that are glued to each other, with a warning. Collective."""
+def _is_apart(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Mask:
+    """Tell which rows are of bodies that are not glued; warn of those that are. Collective."""
     first, second = bodies.part[opposite[:, :2]].T
     glued = first == second
     pairs = np.unique(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)), axis=0)
@@ -204,30 +211,33 @@ def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Nu
                 f"contact, because they are connected through facets: the first {names}. Where "
                 "they may touch, tag their surfaces and add a ContactPair"
             )
-    apart: Numbers = opposite[~glued]
+    apart: Mask = ~glued
     return apart
 
 
-def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, sizes: Vector) -> Mask:
-    """Tell which rows (p, 3), of two bodies and a facet, are of the two bodies' slave. Collective.
+def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, ratio: Vector) -> Mask:
+    """Tell which rows (p, 4), see `_opposite_facets`, are of the two bodies' slave. Collective.
 
-    It is the body with the larger facets in contact, of equal ones that with the lower number.
+    The condition number grows with the size of the master's facets over that of the slave's
+    opposite them. The slave is the body for which the largest such ratio is the smaller one, of
+    equal ones that with the lower number; a body without facets that are near the other is none.
     """
-    rows = np.unique(opposite, axis=0)
-    pairs, inverse = np.unique(rows[:, :2], axis=0, return_inverse=True)
-    sums = np.zeros((len(pairs), 2))
-    np.add.at(sums, inverse.ravel(), np.column_stack([sizes[rows[:, 2]], np.ones(len(rows))]))
-    pairs, inverse = np.unique(concatenate_ranks(comm, pairs), axis=0, return_inverse=True)
-    total = np.zeros((len(pairs), 2))
-    np.add.at(total, inverse.ravel(), concatenate_ranks(comm, sums))
-    mean = total[:, 0] / total[:, 1]
-    size_of = dict(zip(map(tuple, pairs.tolist()), mean.tolist(), strict=True))
-    is_slave = {}
-    for (first, second), own in size_of.items():
-        other = size_of.get((second, first), 0.0)
-        equal = abs(own - other) <= RELATIVE_ROUNDING * own
-        is_slave[first, second] = first < second if equal else own > other
-    return np.array([is_slave[pair] for pair in map(tuple, opposite[:, :2].tolist())], dtype=bool)
+    is_lower = opposite[:, 0] < opposite[:, 1]
+    ratios = np.where(is_lower, [ratio, 1.0 / ratio], [1.0 / ratio, ratio])
+    values = np.column_stack([*ratios, is_lower, ~is_lower])
+    pairs, inverse = np.unique(np.sort(opposite[:, :2], axis=1), axis=0, return_inverse=True)
+    largest = np.zeros((len(pairs), 4))
+    np.maximum.at(largest, inverse.ravel(), values)
+    every, inverse_of = np.unique(concatenate_ranks(comm, pairs), axis=0, return_inverse=True)
+    of_all = np.zeros((len(every), 4))
+    np.maximum.at(of_all, inverse_of.ravel(), concatenate_ranks(comm, largest))
+    as_lower, as_higher, lower_is_near, higher_is_near = of_all.T
+    lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
+    lower &= lower_is_near > 0.0
+    first = first_of_rank(comm, len(pairs))[0]
+    own = inverse_of.ravel()[first + inverse.ravel()]
+    is_from_slave: Mask = is_lower == lower[own]
+    return is_from_slave
 
 
 def _surfaces(

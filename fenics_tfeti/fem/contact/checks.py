@@ -67,15 +67,22 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body[cells] = bodies.of_cell[:, None]
     in_cells = np.unique(cells)
     body_of_node = nodes.sum_at_owners(nodes.to_global(in_cells), body[in_cells], np.maximum)
-    for pairing, mask in zip(pairings, inside, strict=True):
-        normal = np.abs(pairing.normal[mask])
-        ends = (pairing.slave[mask], pairing.master[mask])
-        thickness = [
-            np.sum(normal * size[nodes.values_at(body_of_node, end)], axis=1) for end in ends
-        ]
+    rows = list(zip(pairings, inside, strict=True))
+    normal = np.abs(np.concatenate([pairing.normal[mask] for pairing, mask in rows]))
+    ends = np.array(
+        [np.concatenate([getattr(p, end)[m] for p, m in rows]) for end in ("slave", "master")]
+    )
+    thickness = np.sum(normal * size[nodes.values_at(body_of_node, ends)], axis=2).min(axis=0)
+    of_pairs = np.split(thickness, np.cumsum([mask.sum() for mask in inside])[:-1])
+    too_deep = np.array(
+        [(-p.gap[m] > limit).any() for (p, m), limit in zip(rows, of_pairs, strict=True)]
+    )
+    comm.Allreduce(MPI.IN_PLACE, too_deep, MPI.LOR)
+    for k in np.flatnonzero(too_deep)[:1]:
+        pairing, mask = rows[k]
         depth, points = -pairing.gap[mask], pairing.coordinates[mask, : normal.shape[1]]
         deepest = comm.allreduce(float(depth.max(initial=0.0)), MPI.MAX)
-        if bad := first_wrong(comm, depth > np.minimum(*thickness), points):
+        if bad := first_wrong(comm, depth > of_pairs[k], points):
             raise InputError(
                 f"{pairing.name}: {bad.number} slave nodes are deeper in the master than one of "
                 f"the bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. Surfaces "

@@ -40,6 +40,13 @@ class Terms:
         nodes = np.stack(ends, axis=1).ravel()
         return Terms(offsets, nodes, weights, np.ones(slave.size, dtype=np.int64))
 
+    def of_rows(self, rows: Numbers) -> Terms:
+        """Return some of the rows."""
+        number = np.diff(self.offsets)[rows]
+        offsets = np.append(0, np.cumsum(number))
+        terms = np.arange(offsets[-1]) + np.repeat(self.offsets[rows] - offsets[:-1], number)
+        return Terms(offsets, self.nodes[terms], self.weights[terms], self.slaves[rows])
+
     @cached_property
     def row(self) -> Numbers:
         """The row of each term, (t,)."""
@@ -124,6 +131,12 @@ class ContactPairing:
     def master(self) -> Numbers:
         """Partners, or the masters with the largest weights; -1 for an obstacle (k,)."""
         return self.terms.master
+
+    @property
+    def surfaces(self) -> list[Surface]:
+        """The surfaces of slave and master."""
+        both = (self.surface, self.master_surface)
+        return [surface for surface in both if surface is not None]
 
     @cached_property
     def on_surface(self) -> Numbers:

@@ -11,9 +11,10 @@ import numpy as np
 
 from dolfinx.fem import Function
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, row_values
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
-from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tie
+from fenics_tfeti.fem.contact.description import BoltPreload, Contact, RigidObstacle, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import (
     BodyFrame,
     RigidBodies,
@@ -34,6 +35,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.feti.solver import TornSolution
@@ -193,6 +195,24 @@ class ContactSet:
             for f in self.contacts
         ]
         return replace(self, contacts=contacts)
+
+    def with_turned_bolts(self, uh: Function) -> ContactSet:
+        """Return the set with the axes of bolts as their cuts have turned them. Collective."""
+        nodes, ties = self.boundary.nodes, list(self.ties)
+        for k, found in enumerate(ties):
+            if isinstance(found.tie, BoltPreload) and found.tie.turns:
+                pairing = found.pairing
+                held = np.isin(pairing.nodes, self.prescribed.nodes)
+                points = pairing.coordinates[:, : nodes.components]
+                if bad := first_wrong(nodes.comm, held, points):
+                    raise InputError(
+                        f"{pairing.name}: displacements are prescribed at {bad.number} nodes of "
+                        f"the cut, the first at {bad.place}, which hold the axis: a bolt with "
+                        "turns=True needs a cut whose slave side is free. Leave turns out, or cut "
+                        "the shank where nothing is prescribed"
+                    )
+                ties[k] = replace(found, pairing=pairing.turned(nodes, uh))
+        return replace(self, ties=ties)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
         """Return this rank's rigid bodies and unknown shortenings, numbered from `first` on."""
@@ -368,7 +388,7 @@ class ContactSet:
             shortening = tie.preload.shortening
             if shortening is None:
                 shortening = float(shortenings[found.number])
-            tension = float(np.array(entry.force) @ tie.preload.axis)
+            tension = float(np.array(entry.force) @ tie.preload.direction)
             entry = replace(entry, tension=tension, shortening=shortening)
         return (TiedResult if tie.preload is None else BoltResult)(
             tie.name,

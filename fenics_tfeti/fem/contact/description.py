@@ -486,6 +486,9 @@ class BoltPreload(_SurfacePair):
     axis : (gdim,) array-like, optional
         Direction of the axis, of any length and either sense. By default the normal of the cut,
         which has to be plane.
+    turns : bool
+        Whether the axis turns with the cut in a `NonlinearContactProblem`. No displacements must be
+        prescribed on the slave's side then. By default the axis stays as it is.
     name : str
         For messages and the report.
 
@@ -500,6 +503,7 @@ class BoltPreload(_SurfacePair):
     force: float | None = None
     shortening: float | None = None
     axis: ArrayLike | None = None
+    turns: bool = False
 
     def __post_init__(self) -> None:
         """Check the data."""

@@ -46,9 +46,10 @@ from fenics_tfeti.fem.contact.roles import (
     exchanged,
     may_exchange,
     nodal_stiffness,
-    roles_ratio,
+    roles_ratios,
     warn_of_roles,
 )
+from fenics_tfeti.fem.contact.single_ranks import match_on_single_ranks
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import (
@@ -56,7 +57,7 @@ from fenics_tfeti.fem.contact.surfaces.normals import (
     still_holds,
     without_axial_tilt,
 )
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.contact.ties import (
     TiedPairing,
     linear_rows,
@@ -68,7 +69,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 
 class ContactSearch:
@@ -228,40 +229,50 @@ class ContactSearch:
         if not new:
             return found
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
+        pairings = [found.contacts[index].undeformed for index in new]
+        for index, ratio in zip(new, roles_ratios(comm, pairings, stiffness), strict=True):
+            found = self._decide_roles(found, index, contacts, ratio)
+        decided = list(found.contacts)
         for index in new:
-            found = self._decide_roles(found, index, contacts, stiffness)
+            decided[index] = replace(
+                decided[index], roles=self._roles[id(decided[index].roles.given)]
+            )
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
-                warn_of_deviation(found.contacts[index].undeformed.summary)
-        return found
+                entry = decided[index]
+                if entry.roles.ratio is not None:
+                    warn_of_roles(entry.pairing.name, entry.roles.ratio)
+                warn_of_deviation(entry.undeformed.summary)
+        return replace(found, contacts=decided)
 
     def _decide_roles(
-        self, found: ContactSet, index: int, contacts: Sequence[Contact | Tie], stiffness: Vector
+        self,
+        found: ContactSet,
+        index: int,
+        contacts: Sequence[Contact | Tie],
+        ratio: float | None,
     ) -> ContactSet:
-        """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
-        comm, entry = self._space.mesh.comm, found.contacts[index]
+        """Decide the roles of one pair, and find all conditions anew if they are exchanged.
+
+        The ratio is that of E / h in the roles given.
+        """
+        entry = found.contacts[index]
         pair, roles = entry.roles.given, replace(entry.roles, are_decided=True)
         assert isinstance(pair, ContactPair)
-        ratio = roles_ratio(entry.undeformed, stiffness)
         if roles.used is pair and ratio is not None:
             roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
             if may_exchange(pair) and ratio > EXCHANGE_RATIO:
                 reason = describe_roles(pair, ratio, exchange=True)
-                self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
+                other = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
+                self._roles[id(pair)] = other
                 try:
-                    found = self.find(contacts, found.prescribed)
-                    roles = self._roles[id(pair)]
+                    found, roles = self.find(contacts, found.prescribed), other
                 except InputError as error:
                     # surfaces that can be masters only, as folded ones, or masters of other pairs
                     reason = describe_roles(pair, ratio, obstacle=str(error))
                     roles = replace(roles, reason=reason)
-            with raise_collectively(comm):
-                if roles.ratio is not None and comm.rank == 0:
-                    warn_of_roles(entry.pairing.name, roles.ratio)
         self._roles[id(pair)] = roles
-        found_contacts = list(found.contacts)
-        found_contacts[index] = replace(found_contacts[index], roles=roles)
-        return replace(found, contacts=found_contacts)
+        return found
 
 
 def match_contacts(
@@ -282,13 +293,52 @@ def match_contacts(
     has_new = any(id(contact) not in earlier for contact in contacts)
     if has_new:
         check_different_surfaces(contacts, comm)
-    pairings = [
-        match_contact(boundary, contact, i, earlier.get(id(contact)), prescribed, displacement)
-        for i, contact in zip(numbers or range(len(contacts)), contacts, strict=True)
-    ]
+    supports = Prescribed() if prescribed is None else prescribed
+    numbered = list(zip(numbers or range(len(contacts)), contacts, strict=True))
+    found = _unchanged(boundary, contacts, earlier, supports)
+    pairs = {
+        k: (contact_name(contact, number), contact)
+        for k, (number, contact) in enumerate(numbered)
+        if k not in found and isinstance(contact, ContactPair) and _is_local(boundary, contact)
+    }
+    found |= match_on_single_ranks(boundary, pairs, supports, match_surfaces)
+    for k, (number, contact) in enumerate(numbered):
+        if k not in found:
+            old = earlier.get(id(contact))
+            found[k] = match_contact(boundary, contact, number, old, supports, displacement)
+    pairings = [found[k] for k in range(len(contacts))]
     if has_new:
         check_different_nodes(contacts, pairings, comm)
     return pairings
+
+
+def _is_local(boundary: MeshBoundary, contact: Contact) -> bool:
+    """Tell whether conditions need no data but those of the surfaces, from a user or a weight."""
+    if isinstance(contact, RigidObstacle) or boundary.weight is not None:
+        return False
+    own_data = contact.normal is not None or callable(contact.initial_gap)
+    return not own_data and not isinstance(contact.partners, NodePartners)
+
+
+def _unchanged(
+    boundary: MeshBoundary,
+    contacts: Sequence[Contact],
+    earlier: Mapping[int, ContactPairing],
+    prescribed: Prescribed,
+) -> dict[int, ContactPairing]:
+    """Return by place the earlier results of local pairs that hold still. Collective."""
+    known = {
+        k: earlier[id(contact)]
+        for k, contact in enumerate(contacts)
+        if id(contact) in earlier and _is_local(boundary, contact)
+    }
+    holds = np.zeros(len(known), dtype=bool)
+    for row, old in enumerate(known.values()):
+        holds[row] = old.prescribed is None or np.array_equal(
+            prescribed_components(old.surface, prescribed), old.prescribed
+        )
+    boundary.nodes.comm.Allreduce(MPI.IN_PLACE, holds, MPI.LAND)
+    return {k: old for (k, old), kept in zip(known.items(), holds, strict=True) if kept}
 
 
 def match_contact(
@@ -314,11 +364,7 @@ def match_contact(
         holds = still_holds(earlier.surface, supports, earlier.prescribed)
         earlier = earlier if holds else None
     if earlier is None:
-        pairing = _match_pair(boundary, name, contact, supports)
-        if contact.normal is not None:
-            return pairing
-        normal = without_axial_tilt(pairing.surface, pairing.slave, pairing.normal)
-        return replace(pairing, normal=normal)
+        return _match_pair(boundary, name, contact, supports)
     if callable(contact.initial_gap):
         # a function of the user may have changed
         comm, gap, points = boundary.nodes.comm, earlier.gap, earlier.coordinates
@@ -333,7 +379,6 @@ def match_contact(
 def _match_pair(
     boundary: MeshBoundary, name: str, contact: ContactPair, prescribed: Prescribed
 ) -> ContactPairing:
-    comm = boundary.space.mesh.comm
     tags, partners = contact.facet_tags, contact.partners
     if isinstance(partners, NodePartners) and boundary.degree > 1:
         raise InputError(
@@ -342,7 +387,28 @@ def _match_pair(
             f"{boundary.degree}. Leave it out: the conditions are mortar conditions then"
         )
     slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
-    tagged_master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
+    return match_surfaces(name, contact, slave, master, prescribed_components(slave, prescribed))
+
+
+def match_surfaces(
+    name: str, contact: ContactPair, slave: Surface, tagged_master: Surface, prescribed: Mask
+) -> ContactPairing:
+    """Return the conditions of a pair, this rank's part. Collective.
+
+    The mask (s, gdim) tells the prescribed components at the slave's nodes.
+    """
+    pairing = _conditions(name, contact, slave, tagged_master, prescribed)
+    if contact.normal is not None:
+        return pairing
+    normal = without_axial_tilt(slave, pairing.slave, pairing.normal)
+    return replace(pairing, normal=normal)
+
+
+def _conditions(
+    name: str, contact: ContactPair, slave: Surface, tagged_master: Surface, prescribed: Mask
+) -> ContactPairing:
+    comm, partners = slave.comm, contact.partners
     if isinstance(partners, NodePartners):
         return match_nodes(name, contact, partners, slave, tagged_master)
     master = gather_nearby(tagged_master, slave)
@@ -351,8 +417,7 @@ def _match_pair(
     with raise_collectively(comm):
         master.check_not_folded(name)
     near = Nearest()
-    may_pair_nodes = partners is None and boundary.degree == 1
+    may_pair_nodes = partners is None and slave.boundary.degree == 1
     if may_pair_nodes and meshes_match(slave, master, near.tolerance):
         return match_nodes(name, contact, near, slave, tagged_master)
-    fixed = prescribed_components(slave, prescribed)
-    return match_by_mortar(name, contact, slave, tagged_master, master, shared, fixed)
+    return match_by_mortar(name, contact, slave, tagged_master, master, shared, prescribed)

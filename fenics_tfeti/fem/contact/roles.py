@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from mpi4py import MPI
+
 import numpy as np
 
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector
@@ -46,18 +47,29 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
     return nodes.sum_at_owners(numbers, np.concatenate([np.zeros(0), *diagonals]))
 
 
-def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
-    """Return E / h of the slave over that of the master, zero of a rigid one. Collective.
+def roles_ratios(
+    comm: MPI.Intracomm, pairings: Sequence[ContactPairing], stiffness: Vector
+) -> list[float | None]:
+    """Return E / h of each slave over that of its master, zero of a rigid one. Collective.
 
-    It is None for node pairs. The `nodal_stiffness` says how stiff the bodies are.
+    They are None for node pairs. The `nodal_stiffness` says how stiff the bodies are.
     """
-    if not pairing.is_mortar or pairing.master_surface is None:
-        return None
-    slave, master = (
-        _modulus_over_size(surface, stiffness)
-        for surface in (pairing.surface, pairing.master_surface)
-    )
-    return slave / master if master > 0.0 else 0.0
+    sums = np.zeros((len(pairings), 2, 3))
+    for row, pairing in enumerate(pairings):
+        for column, surface in enumerate(pairing.surfaces):
+            of_nodes = (stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size)
+            sums[row, column] = of_nodes
+    comm.Allreduce(MPI.IN_PLACE, sums)
+    ratios: list[float | None] = []
+    for pairing, of_surfaces in zip(pairings, sums, strict=True):
+        ratio = None
+        if pairing.is_mortar:
+            entries, size, nodes = of_surfaces.T
+            # entries / nodes over h^(d - 1); the dimension that divides both cancels
+            slave, master = entries / nodes * (size / nodes) ** (1 - pairing.normal.shape[1])
+            ratio = float(slave / master) if master > 0.0 else 0.0
+        ratios.append(ratio)
+    return ratios
 
 
 def may_exchange(contact: ContactPair) -> bool:
@@ -111,11 +123,3 @@ def warn_of_roles(name: str, ratio: float) -> None:
             "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
             "data of the contact belong to the given slave"
         )
-
-
-def _modulus_over_size(surface: Surface, stiffness: Vector) -> float:
-    gdim = surface.normal.shape[1]
-    sums = np.array([stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size])
-    entries, size, nodes = surface.comm.allreduce(sums).tolist()
-    h = size / nodes
-    return float(entries / (gdim * nodes) * h ** (1 - gdim))

@@ -11,6 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
+from dolfinx.fem import Function
+
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
@@ -23,6 +25,7 @@ from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
 from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
@@ -39,6 +42,12 @@ class Preload:
     # without load: the body that the shortening moves along the axis where the force is given
     body: Subdomain | None = None
     force: float = 0.0  # [N]
+    rotation: Vector | None = None  # (gdim, gdim), by which the cut has turned
+
+    @property
+    def direction(self) -> Vector:
+        """The axis (gdim,) where the bolt is."""
+        return self.axis if self.rotation is None else self.rotation @ self.axis
 
     def subdomain(self, number: int) -> Subdomain:
         """Return the body with a number and the present load."""
@@ -68,6 +77,33 @@ class TiedPairing:
         position = np.searchsorted(self.nodes, self.rows.slave)
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
+
+    def turned(self, nodes: NodeMap, uh: Function) -> TiedPairing:
+        """Return the rows of a bolt across and along the axis as its cut has turned it. Collective.
+
+        The rotation of the slave's side is fitted to its displacement by least squares.
+        """
+        assert self.preload is not None
+        comm, weight = nodes.comm, self.area[:, None]
+        start = self.coordinates[:, : nodes.components]
+        end = start + nodes.values(uh)[self.nodes - nodes.first]
+        places = np.column_stack([start, end, np.ones(len(start))])
+        sums = comm.allreduce(np.sum(weight * places, axis=0))
+        first, second = np.split(sums[:-1] / sums[-1], 2)
+        product = comm.allreduce((weight * (end - second)).T @ (start - first))
+        left, _, right = np.linalg.svd(product)
+        # a plane cut tells no stretch along its normal: the proper rotation is the one
+        left[:, -1] *= np.linalg.det(left @ right)
+        rotation = left @ right
+        turned = self.rows.coefficients.copy()
+        # the shortening is along the axis of the undeformed bolt
+        in_mesh = self.rows.nodes < nodes.total
+        turned[in_mesh] = turned[in_mesh] @ rotation.T
+        return replace(
+            self,
+            rows=replace(self.rows, coefficients=turned),
+            preload=replace(self.preload, rotation=rotation),
+        )
 
 
 def tie_surfaces(

@@ -15,7 +15,13 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.topology import cell_facets, global_numbers, owned_cells, tags_of_cells
+from fenics_tfeti.fem.topology import (
+    body_names,
+    cell_facets,
+    global_numbers,
+    owned_cells,
+    tags_of_cells,
+)
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Indices, Numbers
 
@@ -66,10 +72,11 @@ def find_bodies(
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
     boxes = _bounding_boxes(domain, cells, first, number[present], bodies)
-    names = [
-        f"body {k}{'' if tag_of_body is None else f' (cell tag {tag_of_body[k]})'} in {box}"
-        for k, box in enumerate(boxes)
-    ]
+    labels = [""] * bodies
+    if tag_of_body is not None:
+        known = body_names(cell_tags)
+        labels = [f" ({known.get(tag, f'cell tag {tag}')})" for tag in tag_of_body.tolist()]
+    names = [f"body {k}{labels[k]} in {box}" for k, box in enumerate(boxes)]
     deformable = bodies - int(np.count_nonzero(is_rigid))
     return Bodies(of_cell, deformable, names, tag_of_body, common[order, 1], graph)
 

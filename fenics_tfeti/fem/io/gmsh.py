@@ -21,6 +21,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
+from fenics_tfeti.fem.topology import with_body_names
 from fenics_tfeti.parallel import raise_collectively
 
 _log = logging.getLogger(__name__)
@@ -82,12 +83,13 @@ def read_msh(
         gmsh = _import_gmsh()
     with ExitStack() as session:
         names: dict[str, int] = {}
+        bodies: dict[int, str] = {}
         tagged_facets = 0
         with raise_collectively(comm):
             if comm.rank == 0:
                 session.enter_context(_opened_file(gmsh, path))
-                names, tagged_facets = _prepare(gmsh.model, path, gdim)
-        names, tagged_facets = comm.bcast((names, tagged_facets))
+                names, bodies, tagged_facets = _prepare(gmsh.model, path, gdim)
+        names, bodies, tagged_facets = comm.bcast((names, bodies, tagged_facets))
         mesh, cell_tags, facet_tags = _compat.gmsh_model_to_mesh(gmsh.model, comm, gdim)
 
     mesh.topology.create_connectivity(gdim - 1, gdim)
@@ -95,14 +97,15 @@ def read_msh(
     received = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
     if received != tagged_facets:
         raise _not_facets(path, tagged_facets - received, tagged_facets, gdim - 1)
-    tagged = TaggedMesh(mesh, cell_tags, facet_tags, names)
+    tagged = TaggedMesh(mesh, with_body_names(cell_tags, bodies), facet_tags, names)
     return split_interfaces(tagged, split) if split else tagged
 
 
-def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
+def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], dict[int, str], int]:
     """Check what dolfinx requires; its own errors, on rank 0 alone, would leave ranks waiting.
 
-    Return name -> tag of the physical groups, and the number of tagged facets.
+    Return name -> tag of the physical groups, tag -> name of those of cells, and the number of
+    tagged facets.
     """
     dimension = max((d for d in range(4) if len(model.mesh.getElementTypes(d))), default=0)
     if dimension == 0:
@@ -126,7 +129,8 @@ def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], int]:
     nodes = model.mesh.getNodes()[0]
     if len(nodes) != nodes.max():
         model.mesh.renumberNodes()  # dolfinx requires numbers without gaps
-    return _names(model, cells + facets, path), tagged_facets
+    bodies = {tag: name for d, tag in cells if (name := model.getPhysicalName(d, tag))}
+    return _names(model, cells + facets, path), bodies, tagged_facets
 
 
 def _check_dimension(model: Any, path: Path, dimension: int, gdim: int) -> None:

@@ -26,7 +26,14 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_corners
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.topology import cell_facets, cell_type, global_numbers, owned_cells
+from fenics_tfeti.fem.topology import (
+    body_names,
+    cell_facets,
+    cell_type,
+    global_numbers,
+    owned_cells,
+    with_body_names,
+)
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -113,7 +120,9 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     split = _compat.distributed_mesh(
         mesh.comm, cells, points, _compat.cell_name(mesh), _compat.geometry_degree(mesh)
     )
-    return _with_tags(split, sides.cell_tag, facet_tags, names)
+    parts = _with_tags(split, sides.cell_tag, facet_tags, names)
+    with_body_names(parts.cell_tags, body_names(tagged.cell_tags))
+    return parts
 
 
 def _on_first_side(mesh: Mesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:

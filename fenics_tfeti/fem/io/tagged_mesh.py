@@ -21,7 +21,8 @@ class TaggedMesh:
         The mesh, with coordinates in the unit of the file; the documentation of this package
         assumes metres.
     cell_tags : dolfinx.mesh.MeshTags
-        The tag of each cell, usually the number of its body.
+        The tag of each cell, usually the number of its body. They carry the names of the bodies,
+        which reports and messages have then.
     facet_tags : dolfinx.mesh.MeshTags
         The tags of facets; those without a tag are left out.
     names : dict of str to int

@@ -42,7 +42,7 @@ class DeformedRows:
     ) -> DeformedRows:
         """Measure the surfaces deformed by a displacement; slip is from the origin. Collective."""
         conditions = undeformed.deformed(uh, bodies)[0].with_friction()
-        conditions = replace(conditions, from_here=True)
+        conditions = replace(conditions.with_turned_bolts(uh), from_here=True)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
         free = bodies.free_displacements(nodes.total)

@@ -70,6 +70,21 @@ def test_facets_opposite_to_each_other(cell):
     assert master == [(1.125, 1.0), (1.375, 1.0), (1.625, 1.0), (1.875, 1.0)]
 
 
+def test_slave_of_graded_meshes():
+    """A few facets that are much finer make the master, although their body's mean is coarser."""
+    made = boxes(
+        COMM, [Box((0, 0), (2, 1), (16, 2)), Box((0, 1), (2, 2), (20, 2))], "quadrilateral"
+    )
+    mesh, x = made.mesh, made.mesh.geometry.x
+    fine = 0.01 * np.arange(9)
+    graded = np.append(fine, np.linspace(fine[-1], 2.0, 9)[1:])
+    mesh.topology.create_connectivity(2, 2)
+    lower = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(1)))
+    x[lower, 0] = np.interp(x[lower, 0], np.linspace(0.0, 2.0, 17), graded)
+    (pair,) = find_contacts(mesh, made.cell_tags)
+    assert pair.name == "body 1 (cell tag 2) on body 0 (cell tag 1)"
+
+
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_bodies_that_meet_in_an_edge_are_no_pair(cell):
     """Four bricks in a stack bond; those on the diagonal have an edge in common."""

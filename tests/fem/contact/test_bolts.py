@@ -141,6 +141,52 @@ def test_bolt_of_rubber():
     assert problem.results[-1].shortening == pytest.approx(s * scale, rel=5e-3)
 
 
+def turned_bar(cell, turns, **data):
+    """Solve a bar of rubber whose walls turn about an end, step by step; return the last step."""
+    scene = bar(cell, turns=True, **data)
+    gdim, u, wall = dimension(cell), fem.Function(scene.V), fem.Function(scene.V)
+    residual = ufl.derivative(neo_hookean(E, POISSON)(u) * ufl.dx, u)
+    dofs = fem.locate_dofs_geometrical(scene.V, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 3))
+    bc = fem.dirichletbc(wall, dofs)
+    problem = NonlinearContactProblem(residual, u, bcs=[bc], contacts=scene.contacts)
+    x = scene.V.tabulate_dof_coordinates()[:, :gdim]
+    rotation = np.eye(gdim)
+    for angle in turns:
+        c, s = np.cos(angle), np.sin(angle)
+        rotation[:2, :2] = [[c, -s], [s, c]]
+        wall.x.array[:] = (x @ rotation.T - x).ravel()
+        problem.solve()
+        problem.advance()
+    deformed = (x + u.x.array.reshape(x.shape)) @ rotation
+    return problem, deformed - x, rotation[:, 0]
+
+
+@pytest.mark.parametrize("data", [{"force": 1e-2 * E}, {"shortening": 0.1}])
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_turned_bolt(cell, data):
+    """The axis turns with the cut: the stretched bar is the same but for its rotation."""
+    still, expected, _ = turned_bar(cell, [0.0], **data)
+    turned, found, axis = turned_bar(cell, np.radians([0.0, 10.0, 20.0, 30.0]), **data)
+    np.testing.assert_allclose(found, expected, atol=1e-7 * np.abs(expected).max())
+    first, second = (problem.results["bolt"] for problem in (still, turned))
+    assert second.tension == pytest.approx(first.tension, rel=1e-6)
+    assert second.shortening == pytest.approx(first.shortening, rel=1e-6)
+    force = np.array(second.entry.force)
+    np.testing.assert_allclose(np.abs(force @ axis), second.tension, rtol=1e-6)
+    *_, last, end = (step.residual for step in turned.report.newton)
+    assert len(turned.report.newton) <= 5 and end < 1e-2 * last
+
+
+def test_held_cut_does_not_turn():
+    scene = bar("quadrilateral", force=1.0, turns=True)
+    scene.fix(5, 1)
+    u = fem.Function(scene.V)
+    residual = ufl.derivative(neo_hookean(E, POISSON)(u) * ufl.dx, u)
+    problem = NonlinearContactProblem(residual, u, bcs=scene.bcs, contacts=scene.contacts)
+    with pytest.raises(InputError, match=r"bolt: displacements are prescribed at 3 nodes of the"):
+        problem.solve()
+
+
 def test_three_bolts():
     """Forces are exact all at once; one after the other, the first ones get looser."""
     scene = flange(3)

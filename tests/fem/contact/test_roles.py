@@ -16,7 +16,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import Coulomb, Exact
-from fenics_tfeti.fem.contact.roles import nodal_stiffness, roles_ratio
+from fenics_tfeti.fem.contact.roles import nodal_stiffness, roles_ratios
 from fenics_tfeti.io import contact_fields
 
 TOP, BOTTOM = 1, 2
@@ -37,7 +37,8 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
 
 def ratio_of(problem):
     stiffness = nodal_stiffness(problem._torn.nodes, problem.system.subdomains)
-    return roles_ratio(problem._torn.undeformed.pairings[0], stiffness)
+    pairings = problem._torn.undeformed.pairings[:1]
+    return roles_ratios(MPI.COMM_WORLD, pairings, stiffness)[0]
 
 
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])

@@ -65,6 +65,15 @@ def test_names_have_tag_and_bounding_box():
     ]
 
 
+def test_names_of_tags_are_those_of_bodies():
+    """Where a tag has one, in place of the tag."""
+    parts = boxes(
+        COMM, [Box((0, 0), (1, 1), (2, 2), "pin"), Box((0, 1), (1, 2), (2, 2))], "triangle"
+    )
+    names = find_bodies(parts.mesh, parts.cell_tags).names
+    assert [name.split(" in ")[0] for name in names] == ["body 0 (pin)", "body 1 (cell tag 2)"]
+
+
 def test_cells_without_tag_are_refused():
     domain = two_boxes("triangle").mesh
     some = meshtags(domain, 2, np.arange(3, dtype=np.int32), np.ones(3, dtype=np.int32))

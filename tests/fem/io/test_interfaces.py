@@ -24,6 +24,7 @@ import ufl
 
 from fenics_tfeti import ContactPair, ContactProblem, InputError, TiedPair
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.io import Interface, read_msh, split_interfaces
 
 COMM = MPI.COMM_SELF
@@ -198,6 +199,8 @@ def test_fragments_of_gmsh_come_apart(tmp_path, gdim, order):
     rough = {1: 0.03, 2: 1e-3}[order]
     for name in ("shank", "wall"):
         assert measure(after, "ds", after.names[name]) == pytest.approx(1.4 * np.pi, rel=rough)
+    names = find_bodies(after.mesh, after.cell_tags).names
+    assert {name.split(" ")[2] for name in names} == {"(bolt)", "(block)"}
     for kind, name in (("dx", "bolt"), ("dx", "block"), ("ds", "outside")):
         tag = before.names[name]
         assert measure(after, kind, tag) == pytest.approx(measure(before, kind, tag), rel=1e-12)

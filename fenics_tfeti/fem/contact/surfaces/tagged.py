@@ -95,11 +95,18 @@ class Surface:
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
 
+    @staticmethod
+    def none(boundary: MeshBoundary, extent: float) -> Surface:
+        """Return the part of a surface of a rank that has no facets and nodes of it."""
+        nodes, of_nodes = np.zeros(0, dtype=np.int64), np.zeros(0)
+        normal = np.zeros((0, boundary.nodes.components))
+        facets = oriented_facets(boundary.space, nodes.astype(np.int32))
+        return Surface(boundary, nodes, normal, of_nodes, of_nodes, facets, extent)
+
     @property
     def comm(self) -> MPI.Intracomm:
         """The ranks."""
-        comm: MPI.Intracomm = self.boundary.nodes.comm
-        return comm
+        return self.boundary.nodes.comm
 
     @cached_property
     def local(self) -> Numbers:
@@ -263,8 +270,8 @@ def tagged_surface(
     `label` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
     space, nodes = boundary.space, boundary.nodes
-    domain = space.mesh
-    comm, gdim = domain.comm, domain.geometry.dim
+    domain, comm = space.mesh, nodes.comm
+    gdim = domain.geometry.dim
     with raise_collectively(comm):
         if not _compat.tags_are_on(facet_tags, domain):
             raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
@@ -276,10 +283,22 @@ def tagged_surface(
             )
     facets = owned_facets(domain, facet_tags, tag)
     facet_nodes = oriented_facets(space, facets)
-    x = boundary.coordinates[facet_nodes, :gdim]
-    vertices = facet_nodes[:, : cell_type(domain).facet.vertices]
-    corners = x[:, : vertices.shape[1]]
+    corners = boundary.coordinates[facet_nodes[:, : cell_type(domain).facet.vertices], :gdim]
     _check_facets(boundary, facet_tags, tag, facets, corners.mean(axis=1), label)
+    return surface_of(boundary, facet_nodes, label, user_normal)
+
+
+def surface_of(
+    boundary: MeshBoundary,
+    facet_nodes: Indices,
+    label: str,
+    user_normal: VectorField | None = None,
+) -> Surface:
+    """Return the surface of facets (f, t), this rank's part; see `tagged_surface`. Collective."""
+    nodes, comm, gdim = boundary.nodes, boundary.nodes.comm, boundary.nodes.components
+    x = boundary.coordinates[facet_nodes, :gdim]
+    vertices = facet_nodes[:, : cell_type(boundary.space.mesh).facet.vertices]
+    corners = x[:, : vertices.shape[1]]
     numbers = nodes.to_global(vertices.ravel())
     local = np.unique(nodes.to_owners(numbers)[0])
     coordinates = boundary.coordinates[local]
@@ -300,7 +319,7 @@ def tagged_surface(
 def _check_facets(
     boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, middles: Vector, label: str
 ) -> None:
-    comm = boundary.space.mesh.comm
+    comm = boundary.nodes.comm
     number = comm.allreduce(facets.size)
     if number == 0:
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
