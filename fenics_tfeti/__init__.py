@@ -28,9 +28,8 @@ _LAZY = {
         "fem.contact.automatic": "find_contacts",
         "fem.contact.description": "Along BoltPreload ContactPair Coulomb Exact LinearRows Mapped "
         "Nearest PeriodicPair Points RigidObstacle TiedPair Tresca",
-        "fem.contact.obstacles.faceted": "FacetedObstacle",
         "fem.contact.obstacles.rigid_body": "RigidBody RigidBodyResult",
-        "fem.contact.obstacles.shapes": "Cylinder Plane Sphere",
+        "fem.contact.obstacles.shapes": "Cylinder FacetedObstacle Plane Sphere",
         "fem.contact.result": "BoltResult ContactResult FrictionResult Results TiedResult",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",

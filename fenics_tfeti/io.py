@@ -15,7 +15,8 @@ from fenics_tfeti.fem.io.fields import (
 from fenics_tfeti.fem.io.gmsh import read_msh
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
-from fenics_tfeti.fem.io.structured import Box, TaggedMesh, boxes, tag_facets
+from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
 __all__ = [
     "Box",

@@ -22,7 +22,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-import basix
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -151,17 +150,17 @@ def cell_dofs(space: fem.FunctionSpace) -> Indices:
     return np.asarray(dofs)
 
 
-def input_cells(domain: mesh.Mesh) -> Numbers | None:
-    """Return the place of each cell of this rank in the input of the mesh; None for a submesh.
+def input_cells(domain: mesh.Mesh) -> Numbers:
+    """Return the place of each owned cell in the input of the mesh; of a submesh global numbers.
 
     - 0.5.2 and 0.9 have an empty array for submeshes, 0.10 and 0.11 raise a RuntimeError.
     """
-    owned = domain.topology.index_map(domain.topology.dim).size_local
+    cells = domain.topology.index_map(domain.topology.dim)
     try:
-        cells = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
+        numbers = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
     except RuntimeError:
-        return None
-    return None if cells.size < owned else cells[:owned]
+        numbers = np.zeros(0, dtype=np.int64)
+    return numbers[: cells.size_local] if numbers.size else np.arange(*cells.local_range)
 
 
 def geometry_cells(domain: mesh.Mesh) -> Indices:
@@ -188,28 +187,6 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     """
     nodes, cell = geometry_cells(domain).shape[1], reference_cell(cell_name(domain))
     return next((degree for degree in (1, 2) if nodes == cell.nodes(degree)), 3)
-
-
-def lagrange_points(cell: str, degree: int) -> Vector:
-    """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on the reference cell.
-
-    The same in all versions of basix.
-    """
-    return np.asarray(_lagrange_element(cell, degree).points)
-
-
-def shape_gradients(cell: str, degree: int, points: Vector) -> Vector:
-    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
-
-    Entry (a, i, j) is that of function j along reference axis a at point i. The same in all
-    versions of basix.
-    """
-    return np.asarray(_lagrange_element(cell, degree).tabulate(1, points)[1:, :, :, 0])
-
-
-def _lagrange_element(cell: str, degree: int) -> Any:
-    kind, family = getattr(basix.CellType, cell), basix.ElementFamily.P
-    return basix.create_element(family, kind, degree, basix.LagrangeVariant.gll_warped)
 
 
 def cell_name(domain: mesh.Mesh) -> str:

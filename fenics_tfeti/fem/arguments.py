@@ -103,7 +103,7 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
             "problem is made (later: find_contacts)"
         )
     names = ("contacts", kinds, "contact")
-    listed = _listed(contacts, _is_contact, names, kinds)
+    listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
     for number, contact in enumerate(listed if exact else []):
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
@@ -116,10 +116,6 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
 
 def _is_condition(thing: Any) -> bool:
     return hasattr(thing, "function_space") and hasattr(_compat.cpp_object(thing), "dof_indices")
-
-
-def _is_contact(thing: Any) -> bool:
-    return isinstance(thing, Contact | Tie)
 
 
 def _listed(

@@ -118,12 +118,10 @@ class NodeMap:
         """Numbers (owned,) of the owned nodes by the mesh's input. The first time collective.
 
         The number of a node is its place in the first cell that it belongs to, in the order in
-        which the cells were given to dolfinx. It is the same for the same input on any ranks.
-        Numbers are distinct, with gaps. A submesh has no input: they are the global numbers.
+        which the cells were given to dolfinx; of a submesh, which has no input, in the global one.
+        It is the same for the same input on any ranks. Numbers are distinct, with gaps.
         """
         cells = _compat.input_cells(self.space.mesh)
-        if not self.comm.allreduce(cells is not None, MPI.LAND) or cells is None:
-            return np.arange(self.first, self.first + self.owned, dtype=np.int64)
         nodes = _compat.cell_dofs(self.space)[: cells.size].astype(np.int64)
         number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
         lowest = np.full(self.size, -1, dtype=np.int64)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -48,9 +49,7 @@ class ReferenceCell:
 
     def nodes(self, degree: int) -> int:
         """Return the number of nodes of degree 1 or 2."""
-        if degree == 1:
-            return self.vertices
-        return self.vertices * (self.vertices + 1) // 2 if self.is_simplex else 3**self.dim
+        return len(lagrange_points(self.name, degree))
 
     def facet_nodes(self, degree: int) -> tuple[Vertices, ...]:
         """Return the nodes of each facet for degree 1 or 2, as numbers of the cell's nodes.
@@ -132,3 +131,22 @@ def quadrature(name: str, degree: int) -> tuple[Vector, Vector]:
     """
     points, weights = basix.make_quadrature(getattr(basix.CellType, name), degree)
     return np.asarray(points), np.asarray(weights)
+
+
+def lagrange_points(name: str, degree: int) -> Vector:
+    """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on a cell."""
+    return np.asarray(_lagrange_element(name, degree).points)
+
+
+def shape_gradients(name: str, degree: int, points: Vector) -> Vector:
+    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
+
+    Entry (a, i, j) is that of function j along reference axis a at point i.
+    """
+    return np.asarray(_lagrange_element(name, degree).tabulate(1, points)[1:, :, :, 0])
+
+
+@cache
+def _lagrange_element(name: str, degree: int) -> Any:
+    kind, family = getattr(basix.CellType, name), basix.ElementFamily.P
+    return basix.create_element(family, kind, degree, basix.LagrangeVariant.gll_warped)

@@ -17,8 +17,9 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
-from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.description import Contact, Tie
+from fenics_tfeti.fem.contact.matching import ContactSearch
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.decomposition.assembly import TornMesh, prepare_forms

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -80,12 +80,8 @@ def scalars_at(
         scalars = _called(values, points, what, (len(points),)) if callable(values) else values
     scalars = np.array(np.broadcast_to(scalars, len(points)), dtype=float)
     wrong = "NaN or infinite" if lowest == -np.inf else "negative, NaN or infinite"
-    raise_where(
-        comm,
-        ~(np.isfinite(scalars) & (scalars >= lowest)),
-        points[:, :gdim],
-        lambda number, place: f"{what} is {wrong} at {number} points, the first at {place}",
-    )
+    if bad := first_wrong(comm, ~(np.isfinite(scalars) & (scalars >= lowest)), points[:, :gdim]):
+        raise InputError(f"{what} is {wrong} at {bad.number} points, the first at {bad.place}")
     return scalars
 
 
@@ -95,12 +91,10 @@ def vectors_at(
     """Return a user's constant vector or vector field (k, gdim) at points (k, 3). Collective."""
     with raise_collectively(comm):
         vectors = _vectors(field, points, gdim, what)
-    raise_where(
-        comm,
-        ~np.isfinite(vectors).all(axis=1),
-        points[:, :gdim],
-        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
-    )
+    if bad := first_wrong(comm, ~np.isfinite(vectors).all(axis=1), points[:, :gdim]):
+        raise InputError(
+            f"{what} is NaN or infinite at {bad.number} points, the first at {bad.place}"
+        )
     return vectors
 
 
@@ -111,15 +105,11 @@ def unit_vectors(
     vectors = vectors_at(comm, direction, points, gdim, what)
     length = np.linalg.norm(vectors, axis=1)
     longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
-    raise_where(
-        comm,
-        length <= NO_DIRECTION * longest,
-        points[:, :gdim],
-        lambda number, place: (
-            f"{what} vanishes at {number} points, the first at {place}: give a non-zero vector at "
-            "every node of the slave"
-        ),
-    )
+    if bad := first_wrong(comm, length <= NO_DIRECTION * longest, points[:, :gdim]):
+        raise InputError(
+            f"{what} vanishes at {bad.number} points, the first at {bad.place}: give a non-zero "
+            "vector at every node of the slave"
+        )
     unit: Vector = vectors / length[:, None]
     return unit
 

@@ -17,7 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.reference_cells import ReferenceCell, lagrange_points, shape_gradients
 from fenics_tfeti.fem.tolerances import FLAT_CELL
 from fenics_tfeti.fem.topology import batches, cell_facets, cell_type, cell_vertices
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
@@ -55,7 +55,7 @@ class CellGeometry:
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        points = _compat.lagrange_points(type_.name, 1)
+        points = lagrange_points(type_.name, 1)
         # in simplices the determinant is constant
         points = np.vstack([points[: 0 if type_.is_simplex else None], points.mean(axis=0)])
         for batch in batches(body.size, _CELLS):
@@ -148,7 +148,7 @@ def _check_shapes(cells: CellGeometry) -> None:
 def _range_in_curved_cells(cells: CellGeometry) -> tuple[Vector, Vector]:
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
     nodes = _compat.geometry_cells(cells.domain)
-    points = _compat.lagrange_points(cells.type.name, 2)
+    points = lagrange_points(cells.type.name, 2)
     lowest, highest = np.empty((2, cells.body.size))
     for batch in batches(cells.body.size, _CELLS):
         values = _determinants(cells.type, 2, points, cells.x[:, nodes[batch].T])
@@ -158,7 +158,7 @@ def _range_in_curved_cells(cells: CellGeometry) -> tuple[Vector, Vector]:
 
 def _determinants(cell: ReferenceCell, degree: int, points: Vector, x: Vector) -> Vector:
     """Return det J (p, k) at points (p, dim) of cells with nodes (gdim, n, k) of degree 1 or 2."""
-    return _determinant([D @ x for D in _compat.shape_gradients(cell.name, degree, points)])
+    return _determinant([D @ x for D in shape_gradients(cell.name, degree, points)])
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:

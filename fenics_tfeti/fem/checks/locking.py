@@ -17,7 +17,7 @@ from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
+from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature, shape_gradients
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -119,7 +119,7 @@ def _resisted(type_: ReferenceCell, x: Vector, K: Vector, mu: float, lmbda: floa
     for mode, (a, b) in zip(modes, pairs, strict=True):
         mode[:, a] = x[:, a] * x[:, b]
     points, weights = quadrature(type_.name, 3)
-    derivatives = np.moveaxis(_compat.shape_gradients(type_.name, 1, points), 0, 2)
+    derivatives = np.moveaxis(shape_gradients(type_.name, 1, points), 0, 2)
     jacobian = x.T @ derivatives
     weights = weights * np.abs(np.linalg.det(jacobian))
     slopes = np.einsum("mva,qvb->qmab", modes, derivatives @ np.linalg.inv(jacobian))

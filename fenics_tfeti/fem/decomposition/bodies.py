@@ -57,7 +57,7 @@ def find_bodies(
     domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
     lowest = np.full(bodies, np.iinfo(np.int64).max)
     if present.size:
-        lowest[present] = np.minimum.reduceat(_input_numbers(domain)[cells], first)
+        lowest[present] = np.minimum.reduceat(_compat.input_cells(domain)[cells], first)
     domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
     is_rigid = np.isin(common[:, 0], list(rigid)) if tagged else np.zeros(bodies, dtype=bool)
     order = np.lexsort((lowest, common[:, 0], is_rigid))
@@ -108,16 +108,6 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(total, total))
     number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
     return number
-
-
-def _input_numbers(domain: Mesh) -> Numbers:
-    """Return the number of each owned cell in the input; of a submesh the global ones."""
-    numbers = _compat.input_cells(domain)
-    if numbers is not None:
-        return numbers
-    return global_numbers(
-        domain.topology.index_map(domain.topology.dim), np.arange(owned_cells(domain))
-    )
 
 
 def _bounding_boxes(

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
-from fenics_tfeti.fem.io.structured import TaggedMesh
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.parallel import raise_collectively
 

@@ -1,4 +1,4 @@
-"""Meshes with tags: structured ones of boxes, each a body, and facets tagged by their place."""
+"""Structured meshes of boxes, each a body of its own, and tags of facets by their place."""
 
 from __future__ import annotations
 
@@ -10,44 +10,17 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.mesh import Mesh, locate_entities_boundary, meshtags
+from dolfinx.mesh import Mesh, locate_entities_boundary
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 Marker = Callable[[Vector], Mask]
-
-
-@dataclass(frozen=True)
-class TaggedMesh:
-    """A distributed mesh with integer tags.
-
-    Attributes
-    ----------
-    mesh : dolfinx.mesh.Mesh
-        The mesh, with coordinates in the unit of the file; the documentation of this package
-        assumes metres.
-    cell_tags : dolfinx.mesh.MeshTags
-        The tag of each cell, usually the number of its body.
-    facet_tags : dolfinx.mesh.MeshTags
-        The tags of facets; those without a tag are left out.
-    names : dict of str to int
-        Name -> tag of cells or facets; the same on all ranks.
-
-    Examples
-    --------
-    >>> parts = read_msh("pump.msh", MPI.COMM_WORLD)  # doctest: +SKIP
-    >>> parts.facet_tags.find(parts.names["seat"])  # doctest: +SKIP
-    """
-
-    mesh: Mesh
-    cell_tags: Any
-    facet_tags: Any
-    names: dict[str, int]
 
 
 @dataclass(frozen=True)
@@ -202,12 +175,6 @@ def tag_facets(
             "check their markers (they need a tolerance, as in numpy.isclose) and bodies"
         )
     return sorted_tags(mesh, dim - 1, tagged, values)
-
-
-def sorted_tags(mesh: Mesh, dim: int, entities: Array, values: Array) -> Any:
-    """Return mesh tags of entities of this rank that are in any order."""
-    order = np.argsort(entities)
-    return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
 
 
 def _check_boxes(bodies: Sequence[Box], cell: str) -> None:

@@ -162,7 +162,7 @@ def overlapping_cells(
 ) -> Cells:
     """Find the cells of some slave facets, ascending, with all layers of the master."""
     x = slave.coordinates(chosen)
-    chosen_planes = Planes(*(column[chosen] for column in _columns(planes)))
+    chosen_planes = planes.chosen(chosen)
     row, facet = master.candidates(x, chosen_planes, reach[chosen])
     on_slave = chosen_planes.project(np.arange(len(x)), x)[row, :, :-1]
     frames = chosen_planes.project(row, master.facets.coordinates(facet))
@@ -204,10 +204,6 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
     return outside_edge
 
 
-def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:
-    return planes.origin, planes.axes, planes.area, planes.diameter
-
-
 def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vector]:
     """Return the cells of pairs of projected facets: the pair, the corners and the area of each."""
     if master.shape[2] == 1:
@@ -218,10 +214,7 @@ def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vect
 
 
 def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
-    """Leave out master facets far behind the slave if the slave is not inside the master there.
-
-    Such are parts of the master on the other side of the slave's body.
-    """
+    """Leave out master facets far behind the slave unless the slave is inside the master there."""
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells
@@ -231,17 +224,11 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
         return cells
     facet = cells.slave[suspects]
     in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
-    signed = _simplices(master.facets).distance(planes.origin[facet] + in_plane).signed
+    surface = FacetedSurface.of(master.facets)
+    signed = surface.distance(planes.origin[facet] + in_plane).signed
     kept = np.ones(cells.slave.size, dtype=bool)
     kept[suspects] = signed < 0.0
     return cells.select_pairs(kept)
-
-
-def _simplices(surface: Facets) -> FacetedSurface:
-    corners = surface.pieces
-    if corners.shape[1] == 4:
-        corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    return FacetedSurface(surface.points, corners)
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:

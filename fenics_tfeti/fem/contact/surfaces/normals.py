@@ -19,6 +19,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.feti.system import Prescribed
@@ -166,8 +167,7 @@ class Cylinder:
         The axis moves along two directions (3, 2), and is turned about its point beside 0.
         """
         radial = self._radial(x)
-        distance = np.linalg.norm(radial, axis=1)
-        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ cross_axes
+        distance, outward = np.linalg.norm(radial, axis=1), unit(radial) @ cross_axes
         rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])
         gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
