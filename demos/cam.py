@@ -52,7 +52,7 @@ E, nu = 1e7, 0.3
 radius, eccentricity, foot = 0.5, 0.15, 0.25
 stiffness = 1e5  # of the spring [N/m], per metre of depth
 shortened = radius - eccentricity - foot
-angles = np.linspace(0, np.pi, 19)
+angles = np.linspace(0, np.pi, 13)
 
 bodies = read_msh(here.parent / "meshes" / "cam.msh", comm, gdim=2)
 mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names

@@ -61,7 +61,7 @@ comm = MPI.COMM_WORLD
 E, nu = 2e8, 0.3
 R, t = 50e-3, 2.5e-3
 UPPER, LOWER, CUT = 1, 2, 3
-mesh = boxes(comm, [Box((0, -t / 2), (np.pi, t / 2), (64, 2))], "quadrilateral").mesh
+mesh = boxes(comm, [Box((0, -t / 2), (np.pi, t / 2), (40, 2))], "quadrilateral").mesh
 markers = {
     UPPER: lambda x: np.isclose(x[1], t / 2) & (x[0] < np.pi / 2 + 1e-6),
     LOWER: lambda x: np.isclose(x[1], t / 2) & (x[0] > np.pi / 2 - 1e-6),
@@ -99,34 +99,29 @@ problem = NonlinearContactProblem(
 )
 
 # ## Elastica
+#
+# The integrals depend on c = kappa^2 D / (2 N) only.
 
 D = E / (1 - nu**2) * t**3 / 12
 
 
-def quarter(kappa, N):
-    """Return the length and the height of a quarter of the ring."""
-    inverse = [
-        quad(
-            lambda p, k=k: np.sin(p) ** k / np.sqrt(kappa**2 + 2 * N / D * np.sin(p)), 0, np.pi / 2
-        )
-        for k in (0, 1)
-    ]
-    return inverse[0][0], inverse[1][0]
+def quarter(c):
+    """Return the length and the height of a quarter of the ring, times the root of 2 N / D."""
+    length = quad(lambda p: 1 / np.sqrt(c + np.sin(p)), 0, np.pi / 2)[0]
+    height = quad(lambda p: np.sin(p) / np.sqrt(c + np.sin(p)), 0, np.pi / 2)[0]
+    return length, height
+
+
+def height_of(c):
+    """Return the height of the axis of the ring before its middle is flat."""
+    length, half = quarter(c)
+    return np.pi * R * half / length
 
 
 def elastica(height):
     """Return the force of the whole ring at a height of its axis."""
-    # lengths are inverse to the root of the force where the curvature vanishes at the plate
-    unit = D / R**2
-    length, half = quarter(0, unit)
-    N, most = unit * (2 * half / height) ** 2, unit * (2 * length / (np.pi * R)) ** 2
-    if most <= N:
-        return 2 * N
-
-    def curvature(N):
-        return brentq(lambda kappa: quarter(kappa, N)[0] - np.pi * R / 2, 1e-9 / R, 1 / R)
-
-    return 2 * brentq(lambda N: quarter(curvature(N), N)[1] - height / 2, 1e-6 * most, 0.999 * most)
+    c = brentq(lambda c: height_of(c) - height, 0, 1e6) if height > height_of(0) else 0
+    return D * (2 * quarter(c)[1] / height) ** 2
 
 
 # ## Load steps

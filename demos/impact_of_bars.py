@@ -38,7 +38,7 @@ comm = MPI.COMM_WORLD
 #
 # Bars of steel, 1 m long, with Poisson's ratio zero: the waves are those of one dimension.
 
-n, L, E, rho, v = 50, 1.0, 2.1e11, 7850.0, 1.0
+n, L, E, rho, v = 30, 1.0, 2.1e11, 7850.0, 1.0
 c = (E / rho) ** 0.5
 h = L / n
 bars = [Box((-L, 0), (0, h), (n, 1)), Box((0, 0), (L, h), (n, 1))]
@@ -90,7 +90,7 @@ def impact(density, steps):
     return np.array(pressures), np.array(energies), velocities
 
 
-steps = 230
+steps = round(1.15 * 2 * L / c / dt)
 times = dt * np.arange(1, steps + 1)
 pressure, energy, velocities = impact(redistributed_density(mesh, rho, contacts), steps)
 jumping, growing, _ = impact(fem.Constant(mesh, rho), steps)

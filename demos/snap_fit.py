@@ -6,10 +6,11 @@ A cantilever of plastic with a rounded hook at its end is pushed along a stiff r
 The hook climbs the bump, the cantilever bends, and behind the top the hook slides down by itself:
 the force changes its sign. Rotations and sliding are large; the coefficient of friction is 0.2.
 
-The clip is free of stress before and behind the bump. So the work of the hand is what friction
-dissipates,
+The work of the hand is stored in the bodies or dissipated by friction,
 
-$$\int H \, \mathrm{d} s = D > 0.$$
+$$\int H \, \mathrm{d} s = \int W \, \mathrm{d} x + D.$$
+
+Behind the bump the clip is free of stress again: all of the work is dissipated.
 
 This demo illustrates how to
 
@@ -19,10 +20,11 @@ This demo illustrates how to
 - make an animation of a run.
 
 Run it by `python demos/snap_fit.py`, or on several processes by `mpirun -n 2 python
-demos/snap_fit.py`; it draws pictures and an animation into `results/`. All units are SI, forces are
-per metre of depth.
+demos/snap_fit.py`; it draws pictures and an animation into `results/`. A travel of the clip in mm,
+such as 0.6, may be given. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -121,7 +123,8 @@ def frame():
 
 frames = [frame()]
 way, force, dissipated, newton = [0.0], [0.0], [0.0], []
-for s in 0.1 * mm * np.arange(1, 43):
+travel = float(sys.argv[1]) if len(sys.argv) > 1 else 4.2  # mm
+for s in 0.1 * mm * np.arange(1, round(10 * travel) + 1):
     motion.x.array.reshape(-1, 2)[:, 0] = s
     problem.solve()
     problem.advance()
@@ -148,6 +151,7 @@ for s in 0.1 * mm * np.arange(1, 43):
 
 H = np.array(force)
 work, friction = np.sum(0.5 * (H[1:] + H[:-1]) * np.diff(way)), sum(dissipated)
+left = comm.allreduce(fem.assemble_scalar(stored))
 if comm.rank == 0:
     products = np.mean([step.products for step in newton])
     print(

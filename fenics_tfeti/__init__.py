@@ -21,71 +21,31 @@ from fenics_tfeti.errors import (
     needs_fenicsx,
 )
 
+# the public names of modules that need FEniCSx
 _LAZY = {
-    "Along": "fenics_tfeti.fem.contact.description",
-    "BoltPreload": "fenics_tfeti.fem.contact.ties.description",
-    "BoltResult": "fenics_tfeti.fem.contact.result",
-    "ContactPair": "fenics_tfeti.fem.contact.description",
-    "ContactProblem": "fenics_tfeti.problem",
-    "ContactResult": "fenics_tfeti.fem.contact.result",
-    "Coulomb": "fenics_tfeti.fem.contact.description",
-    "Cylinder": "fenics_tfeti.fem.contact.obstacles.shapes",
-    "Exact": "fenics_tfeti.fem.contact.description",
-    "FacetedObstacle": "fenics_tfeti.fem.contact.obstacles.faceted",
-    "FrictionResult": "fenics_tfeti.fem.contact.result",
-    "LinearRows": "fenics_tfeti.fem.contact.ties.description",
-    "Mapped": "fenics_tfeti.fem.contact.description",
-    "Nearest": "fenics_tfeti.fem.contact.description",
-    "NonlinearContactProblem": "fenics_tfeti.nonlinear",
-    "PeriodicPair": "fenics_tfeti.fem.contact.ties.description",
-    "Plane": "fenics_tfeti.fem.contact.obstacles.shapes",
-    "Points": "fenics_tfeti.fem.contact.description",
-    "Results": "fenics_tfeti.fem.contact.result",
-    "RigidBody": "fenics_tfeti.fem.contact.obstacles.rigid_body",
-    "RigidBodyResult": "fenics_tfeti.fem.contact.obstacles.rigid_body",
-    "RigidObstacle": "fenics_tfeti.fem.contact.description",
-    "Sphere": "fenics_tfeti.fem.contact.obstacles.shapes",
-    "TiedPair": "fenics_tfeti.fem.contact.description",
-    "TiedResult": "fenics_tfeti.fem.contact.result",
-    "Tresca": "fenics_tfeti.fem.contact.description",
-    "find_contacts": "fenics_tfeti.fem.contact.automatic",
+    name: f"fenics_tfeti.{module}"
+    for module, names in {
+        "fem.contact.automatic": "find_contacts",
+        "fem.contact.description": "Along BoltPreload ContactPair Coulomb Exact LinearRows Mapped "
+        "Nearest PeriodicPair Points RigidObstacle TiedPair Tresca",
+        "fem.contact.obstacles.rigid_body": "RigidBody RigidBodyResult",
+        "fem.contact.obstacles.shapes": "Cylinder FacetedObstacle Plane Sphere",
+        "fem.contact.result": "BoltResult ContactResult FrictionResult Results TiedResult",
+        "nonlinear": "NonlinearContactProblem",
+        "problem": "ContactProblem",
+    }.items()
+    for name in names.split()
 }
 
 __all__ = [
-    "Along",
-    "BoltPreload",
-    "BoltResult",
     "ContactError",
-    "ContactPair",
-    "ContactProblem",
-    "ContactResult",
-    "Coulomb",
-    "Cylinder",
-    "Exact",
     "FactorizationError",
-    "FacetedObstacle",
-    "FrictionResult",
     "InputError",
     "Interrupted",
-    "LinearRows",
-    "Mapped",
-    "Nearest",
-    "NonlinearContactProblem",
     "NotConverged",
-    "PeriodicPair",
-    "Plane",
-    "Points",
-    "Results",
-    "RigidBody",
-    "RigidBodyResult",
-    "RigidObstacle",
-    "Sphere",
-    "TiedPair",
-    "TiedResult",
-    "Tresca",
     "UnresistedMotion",
     "UnstableTangent",
-    "find_contacts",
+    *_LAZY,
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
@@ -95,4 +55,5 @@ def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with needs_fenicsx(f"fenics_tfeti.{name}"):
+        import_module("mpi4py.MPI")  # loads the MPI library that the wheels of dolfinx look for
         return getattr(import_module(_LAZY[name]), name)

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess
 from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
 _FORMAT = "fenics_tfeti step 1"
@@ -63,10 +63,7 @@ class Step:
 
 
 def write_step(
-    path: str | os.PathLike[str],
-    nodes: NodeMap,
-    contacts: Sequence[str],
-    step: Step,
+    path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str], step: Step
 ) -> None:
     """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
 
@@ -120,7 +117,7 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
     """Read this rank's part; `own` are the numbers of its nodes in the input."""
     coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
-    rows = _positions(numbers, own)
+    rows = positions(numbers, own)
     if file.strings("contacts") != list(contacts):
         raise _of_another_problem(file, "contacts")
     if np.any(rows < 0) or numbers.size != nodes.total:
@@ -140,7 +137,7 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         entries = file.read(name, "numbers", (node.size, *shape))
         if np.any((contact < 0) | (contact >= len(contacts))):
             raise InputError(f"{file.path}: the array '{name}_contact' has numbers of no contact")
-        row = _positions(own[order], node)
+        row = positions(own[order], node)
         here = row >= 0
         return SlaveValues(contact[here], order[row[here]], entries[here])
 
@@ -160,11 +157,3 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
 
 def _of_another_problem(file: ArrayFile, name: str) -> InputError:
     return InputError(f"{file.path}: the checkpoint is that of another problem: the {name} differ")
-
-
-def _positions(ascending: Numbers, values: Numbers) -> Numbers:
-    """Return the positions of values among ascending numbers, -1 for others."""
-    if ascending.size == 0:
-        return np.full(values.size, -1, dtype=np.int64)
-    position = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
-    return np.where(ascending[position] == values, position, -1)

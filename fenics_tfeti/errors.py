@@ -89,6 +89,11 @@ class Interrupted(KeyboardInterrupt):
         self.report = report
 
 
+def wrong_type(name: str, value: Any, expected: str) -> InputError:
+    """Return the error that an argument is of another type than is expected."""
+    return InputError(f"{name} is a {type(value).__name__}; {expected} is expected")
+
+
 def warn_user(message: str) -> None:
     """Warn with the place of the user's line that has called the package."""
     frame, level = sys._getframe(1), 2

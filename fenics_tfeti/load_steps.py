@@ -10,26 +10,77 @@ from typing import Any
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
-from fenics_tfeti.fem.contact.contact_set import SolvedContacts
+from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
+from fenics_tfeti.fem.checks.locking import warn_of_locking
+from fenics_tfeti.fem.contact.automatic import find_contacts
+from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
 from fenics_tfeti.fem.contact.result import Results
-from fenics_tfeti.fem.displacement import fill_owned, owned_values
-from fenics_tfeti.fem.torn_problem import TornProblem
+from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
+from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
+from fenics_tfeti.feti import Timer, TornSolution, TornSolver
+from fenics_tfeti.options import ContactOptions
+from fenics_tfeti.parallel import print_on_first_rank, raise_collectively
+from fenics_tfeti.report import ContactReport
 
 # shortest step, as a share of all; no shorter rest is left
 _SHORTEST = 1e-3
 
 
 class SteppedProblem(ABC):
-    """A contact problem that is solved in load steps."""
+    """A contact problem that is solved in load steps; its data, and what was solved last."""
 
-    u: Any
-    results: Results
-    rigid_bodies: Results
+    options: ContactOptions
+    report: ContactReport
 
-    _torn: TornProblem
-    _step: Step
+    _report_type: type[ContactReport] = ContactReport
     _is_solved = _is_restored = False
     _solved: SolvedContacts | None = None
+    _solver: TornSolver | None = None
+
+    def __init__(
+        self,
+        a: Any,
+        L: Any,
+        u: Any,
+        options: ContactOptions,
+        bcs: Any,
+        contacts: Any,
+        cell_tags: Any,
+        rigid: Any,
+        **data: Any,
+    ) -> None:
+        self.options, self.space, self._timer = options, space_of_forms(a, L), Timer()
+        if isinstance(contacts, str) and contacts == "auto":
+            with self._timer.phase("contact search"):
+                exact = bool(self._exact)
+                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
+        self.bcs, self.contacts, self.u = bcs, contacts, as_displacement(u, self.space)
+        self._check_data()
+        self.results = self.rigid_bodies = Results()
+        torn = ProblemData(
+            self.bcs,
+            self.contacts,
+            cell_tags,
+            rigid=as_rigid(rigid),
+            size=options.subdomain_size,
+            partitioner=options.partitioner,
+            **data,
+        )
+        self._torn = TornProblem(self.space, a, L, torn, self._timer)
+        with self._timer.phase("assembly"):
+            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
+        self._step = Step.at(self._first_origin())
+
+    @property
+    @abstractmethod
+    def _exact(self) -> str:
+        """What measures gaps on the deformed mesh, by its name; empty if nothing does."""
+
+    @abstractmethod
+    def _first_origin(self) -> SlipOrigin:
+        """Return from where slip is counted before a step is accepted."""
 
     @abstractmethod
     def solve(self) -> Any:
@@ -54,6 +105,13 @@ class SteppedProblem(ABC):
         assert self._solved is not None
         self._step = self._step.accepted(self._solved.obstacle_displacements())
         self._is_solved = False
+
+    def reset_slip(self) -> None:
+        """Count slip in the next solve as in the first one.
+
+        That is from the undeformed state, with finite strains from the present `u`.
+        """
+        self._step = replace(self._step, origin=self._first_origin())
 
     def steps(
         self,
@@ -139,6 +197,33 @@ class SteppedProblem(ABC):
                 length, easy = 2.0 * length, 0
             self._step = replace(self._step, load=t, length=length)
             yield t
+
+    def _check_data(self) -> None:
+        """Check the present supports, contacts and displacement, which the user may have set."""
+        with raise_collectively(self.space.mesh.comm):
+            self.bcs = as_conditions(self.bcs)
+            self.contacts = as_contacts(self.contacts, self._exact)
+            self.u = as_displacement(self.u, self.space)
+
+    def _store(
+        self, solution: TornSolution, conditions: ContactSet, bodies: RigidBodies, **report: Any
+    ) -> None:
+        """Keep the solution that was found with conditions, and has moved rigid bodies."""
+        self._solved = solved = conditions.solved(solution, self.u, bodies)
+        self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
+        self.report = self._report_type.of(
+            solution.report,
+            self.results,
+            self.options.as_dict(),
+            rigid_bodies=solved.body_results,
+            **report,
+        )
+        self._step = replace(self._step, force=solved.nodal_forces())
+
+    def _view(self) -> None:
+        """Print the report, if the user wants it."""
+        if self.options.view:
+            print_on_first_rank(self.space.mesh.comm, str(self.report))
 
     def _was_easy(self) -> bool:
         """Tell whether a step that did not fail was an easy one."""

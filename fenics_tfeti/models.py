@@ -16,8 +16,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_contacts
-from fenics_tfeti.fem.contact.description import Contact, ContactPair
-from fenics_tfeti.fem.contact.ties.description import Tie
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
@@ -97,10 +96,8 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
 
     Parameters
     ----------
-    E : float or UFL expression
-        Young's modulus [Pa].
-    nu : float or UFL expression
-        Poisson's ratio.
+    E, nu : float or UFL expression
+        Young's modulus [Pa] and Poisson's ratio.
 
     Returns
     -------
@@ -131,10 +128,8 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
 
     Parameters
     ----------
-    E : float or UFL expression
-        Young's modulus [Pa].
-    nu : float or UFL expression
-        Poisson's ratio.
+    E, nu : float or UFL expression
+        Young's modulus [Pa] and Poisson's ratio.
 
     Returns
     -------
@@ -187,10 +182,7 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
 
 
 def redistributed_density(
-    mesh: Mesh,
-    rho: Any,
-    contacts: Sequence[Contact | Tie] | Contact,
-    measure_weight: Any = 1.0,
+    mesh: Mesh, rho: Any, contacts: Sequence[Contact | Tie] | Contact, measure_weight: Any = 1.0
 ) -> fem.Function:
     """Return the density of bodies that have no mass at the nodes of contact surfaces. Collective.
 
@@ -236,7 +228,7 @@ def redistributed_density(
     with _compat.quiet_compiler():
         forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (fem.assemble_vector(form).array[dofs] for form in forms)
-    touching = [contact for contact in as_contacts(contacts, None) if isinstance(contact, Contact)]
+    touching = [contact for contact in as_contacts(contacts) if isinstance(contact, Contact)]
     first, second = _layers_at(mesh, touching)
     moved, taking = (
         mesh.comm.allreduce(np.bincount(bodies.of_cell, mass * layer, len(bodies.names)), MPI.SUM)

@@ -12,27 +12,20 @@ import numpy as np
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_residual, as_rigid
-from fenics_tfeti.fem.checks.locking import warn_of_locking
-from fenics_tfeti.fem.contact.automatic import find_contacts
-from fenics_tfeti.fem.contact.description import Contact, Exact
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
-from fenics_tfeti.fem.contact.result import Results
+from fenics_tfeti.fem.arguments import as_residual
+from fenics_tfeti.fem.contact.description import Contact, Tie
+from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
-from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
+from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
-from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
-from fenics_tfeti.feti import Timer, TornSolver, interruption
+from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
-from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
+from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
-from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.report import ContactReport
 
 
@@ -100,7 +93,11 @@ class NonlinearContactProblem(SteppedProblem):
     ...     print(t, problem.results[0].force)
     """
 
+    options: NewtonOptions
     report: NonlinearReport
+
+    _exact = "NonlinearContactProblem"
+    _report_type = NonlinearReport
 
     def __init__(
         self,
@@ -120,45 +117,23 @@ class NonlinearContactProblem(SteppedProblem):
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
-        self.options = contact_options(NewtonOptions, options, options_prefix)
-        self._timer = Timer()
-        J, L = as_residual(F, u, J)
-        self.u, self.space = u, space_of_forms(J, L)
-        if isinstance(contacts, str) and contacts == "auto":
-            with self._timer.phase("contact search"):
-                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=True)
-        self.bcs, self.contacts = as_conditions(bcs), _as_contacts(contacts)
-        compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
-        data = ProblemData(
-            self.bcs,
-            self.contacts,
-            cell_tags,
-            subdomains,
-            measure_weight,
-            compiler,
+        super().__init__(
+            *as_residual(F, u, J),
             u,
-            as_rigid(rigid),
-        )
-        self._torn = TornProblem(
-            self.space,
-            J,
-            L,
-            data,
-            self.options.subdomain_size,
-            self.options.partitioner,
-            self._timer,
+            contact_options(NewtonOptions, options, options_prefix),
+            bcs=bcs,
+            contacts=contacts,
+            cell_tags=cell_tags,
+            rigid=rigid,
+            subdomains=subdomains,
+            measure_weight=measure_weight,
+            compiler=_compat.CompilerOptions(form_compiler_options, jit_options),
+            displacement=u,
         )
         self._gradients = CellGradients(self.space)
-        self._step = Step.at(SlipOrigin.at(u))
-        self._solver: TornSolver | None = None
-        self.results = self.rigid_bodies = Results()
-        with self._timer.phase("assembly"):
-            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
 
     def solve(
-        self,
-        monitor: Monitor | None = None,
-        checkpoint: str | os.PathLike[str] | None = None,
+        self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
     ) -> Function:
         """Find the equilibrium at the present loads and supports, starting from `u`.
 
@@ -198,13 +173,11 @@ class NonlinearContactProblem(SteppedProblem):
                 raise
             finally:
                 self._timer.restart()
-        if self.options.view and self.space.mesh.comm.rank == 0:
-            print(self.report, flush=True)
+        self._view()
         return self.u
 
-    def reset_slip(self) -> None:
-        """Count slip from the present `u` in the next solve, as in the first one."""
-        self._step = replace(self._step, origin=SlipOrigin.at(self.u))
+    def _first_origin(self) -> SlipOrigin:
+        return SlipOrigin.at(self.u)
 
     def _was_easy(self) -> bool:
         return len(self.report.newton) <= 0.5 * self.options.newton_max_it
@@ -214,11 +187,7 @@ class NonlinearContactProblem(SteppedProblem):
         self._refresh()
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
-            self._torn,
-            self.u,
-            self._torn.undeformed.prescribed,
-            self._step.origin,
-            self._gradients,
+            self._torn, self.u, self._torn.undeformed.prescribed, self._step.origin, self._gradients
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
@@ -228,7 +197,8 @@ class NonlinearContactProblem(SteppedProblem):
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
         try:
             for state_after in iteration.run(state, monitor):
-                self._store(state, iteration, state_after.bodies)
+                conditions, steps = state.rows.conditions, list(iteration.steps)
+                self._store(iteration.solution, conditions, state_after.bodies, newton=steps)
                 state = state_after
                 self._step = replace(
                     self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
@@ -247,37 +217,11 @@ class NonlinearContactProblem(SteppedProblem):
 
     def _refresh(self) -> None:
         """Take the present supports and contacts."""
-        with raise_collectively(self.space.mesh.comm):
-            self.bcs, self.contacts = as_conditions(self.bcs), _as_contacts(self.contacts)
+        self._check_data()
         if self._torn.torn.has_moved():
             self.reset_slip()
-        elif _are_same(self.contacts, self._torn.data.contacts):
+        elif list(map(id, self.contacts)) == list(map(id, self._torn.data.contacts)):
             self._torn.update_supports(self.bcs)
             return
         self._torn.update(self.bcs, self.contacts)
         self._step = self._step.of_first(len(self._torn.data.touching))
-
-    def _store(self, state: NewtonState, iteration: NewtonIteration, bodies: RigidBodies) -> None:
-        """Keep the solution that was found with the conditions of a state, and has moved bodies."""
-        solution = iteration.solution
-        self._solved = solved = state.rows.conditions.solved(solution, self.u, bodies)
-        self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
-        self.report = NonlinearReport.of(
-            solution.report,
-            self.results,
-            self.options.as_dict(),
-            newton=list(iteration.steps),
-            rigid_bodies=solved.body_results,
-        )
-        self._step = replace(self._step, force=self._solved.nodal_forces())
-
-
-def _are_same(contacts: Sequence[object], others: Sequence[object]) -> bool:
-    """Tell whether lists have the same objects."""
-    return len(contacts) == len(others) and all(
-        a is b for a, b in zip(contacts, others, strict=True)
-    )
-
-
-def _as_contacts(contacts: Any) -> list[Contact | Tie]:
-    return as_contacts(contacts, Exact(), "NonlinearContactProblem")

@@ -91,6 +91,25 @@ def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
     return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(received)]
 
 
+def send_rows(comm: MPI.Intracomm, ranks: Array, *columns: Array) -> tuple[Array, ...]:
+    """Send each row to a rank; return the columns that arrive. Collective.
+
+    Rows arrive in the order of the ranks that sent them, those of a rank in the order given.
+    """
+    received = all_to_all(comm, _by_rank(comm, ranks, columns)[0])
+    return tuple(np.concatenate(column) for column in zip(*received, strict=True))
+
+
+def _by_rank(
+    comm: MPI.Intracomm, ranks: Array, columns: Sequence[Array]
+) -> tuple[list[tuple[Array, ...]], NDArray[np.intp]]:
+    """Split columns by the ranks to which their rows go; also return the order used."""
+    order = np.argsort(ranks, kind="stable")
+    cuts = np.searchsorted(ranks[order], np.arange(1, comm.size))
+    parts = [np.split(column[order], cuts) for column in columns]
+    return list(zip(*parts, strict=True)), order
+
+
 class Directory:
     """A distributed directory of integer keys, such as global node numbers.
 
@@ -103,45 +122,35 @@ class Directory:
         self._comm = comm
         limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
         self._chunk = max(1, -(-limit // comm.size))
-        received = all_to_all(comm, self._by_home(keys, [])[0])
+        received = all_to_all(comm, _by_rank(comm, self._home(keys), [keys])[0])
         ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in received])
         keys_held = np.concatenate([rows[0] for rows in received])
         order = np.argsort(keys_held, kind="stable")
         self._held, self._holders = keys_held[order], ranks[order]
         self.keys: Numbers = np.unique(keys_held)
 
-    def _by_home(
-        self, keys: Numbers, data: list[Array]
-    ) -> tuple[list[tuple[Array, ...]], NDArray[np.intp]]:
-        """Split rows (key, data...) by the keys' homes; also return the order used."""
+    def _home(self, keys: Numbers) -> Array:
         # keys that no rank holds may lie beyond the limit
-        home = np.clip(keys // self._chunk, 0, self._comm.size - 1)
-        order = np.argsort(home, kind="stable")
-        cuts = np.searchsorted(home[order], np.arange(1, self._comm.size))
-        columns = [np.split(column[order], cuts) for column in (keys, *data)]
-        return list(zip(*columns, strict=True)), order
+        home: Array = np.clip(keys // self._chunk, 0, self._comm.size - 1)
+        return home
 
     def collect(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (key, data...) to the keys' homes; return the columns that arrive here.
 
         Rows arrive in the order of ranks, those of a rank in the order given.
         """
-        received = all_to_all(self._comm, self._by_home(keys, list(data))[0])
-        return tuple(np.concatenate(column) for column in zip(*received, strict=True))
+        return send_rows(self._comm, self._home(keys), keys, *data)
 
     def position(self, keys: Numbers) -> Numbers:
         """Return the positions of keys in ``self.keys``; -1 for keys that no rank holds."""
-        if self.keys.size == 0:
-            return np.full(keys.shape, -1, dtype=np.int64)
-        position = np.minimum(np.searchsorted(self.keys, keys), self.keys.size - 1)
-        return np.where(self.keys[position] == keys, position, -1).astype(np.int64)
+        return positions(self.keys, keys)
 
     def lookup(self, keys: Numbers, *tables: Array) -> tuple[Array, ...]:
         """Return for keys (k,) whether a rank holds them, and their rows of distributed tables.
 
         Tables have a row for each of ``self.keys``; rows of keys that no rank holds are zero.
         """
-        questions, order = self._by_home(keys, [])
+        questions, order = _by_rank(self._comm, self._home(keys), [keys])
         answers = []
         for (query,) in all_to_all(self._comm, questions):
             position = self.position(query)
@@ -162,11 +171,15 @@ class Directory:
         holder = self._holders[
             np.repeat(first - np.cumsum(number) + number, number) + np.arange(row.size)
         ]
-        order = np.argsort(holder, kind="stable")
-        cuts = np.searchsorted(holder[order], np.arange(1, self._comm.size))
-        split = [np.split(column[row[order]], cuts) for column in columns]
-        received = all_to_all(self._comm, list(zip(*split, strict=True)))
-        return tuple(np.concatenate(column) for column in zip(*received, strict=True))
+        return send_rows(self._comm, holder, *(column[row] for column in columns))
+
+
+def positions(ascending: Numbers, values: Numbers) -> Numbers:
+    """Return the positions of values among ascending numbers, -1 for others."""
+    if ascending.size == 0:
+        return np.full(values.shape, -1, dtype=np.int64)
+    position = np.minimum(np.searchsorted(ascending, values), ascending.size - 1)
+    return np.where(ascending[position] == values, position, -1).astype(np.int64)
 
 
 def _rows(table: Array, position: Numbers) -> Array:

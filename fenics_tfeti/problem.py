@@ -10,49 +10,23 @@ from typing import Any, Literal
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.checkpoint import Step
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import (
-    as_conditions,
-    as_contacts,
-    as_displacement,
-    as_forms,
-    as_geometry,
-    as_rigid,
-)
-from fenics_tfeti.fem.checks.locking import warn_of_locking
-from fenics_tfeti.fem.contact.automatic import find_contacts
+from fenics_tfeti.fem.arguments import as_forms, as_geometry
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.deformed import GeometryPass, geometry_pass
-from fenics_tfeti.fem.contact.description import Contact, Exact
+from fenics_tfeti.fem.contact.description import Contact, Exact, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
-from fenics_tfeti.fem.contact.result import Results
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
-from fenics_tfeti.fem.displacement import (
-    fill_displacement,
-    fill_owned,
-    owned_values,
-    space_of_forms,
-)
+from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.strains import warn_of_large_gradients
-from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
-from fenics_tfeti.feti import (
-    ContactGuess,
-    MonitorFunction,
-    Timer,
-    TornSolution,
-    TornSolver,
-    interruption,
-)
+from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.memory import return_free_memory
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.report import ContactReport
 
 
 class ContactProblem(SteppedProblem):
@@ -132,8 +106,6 @@ class ContactProblem(SteppedProblem):
     >>> uh = problem.solve()  # doctest: +SKIP
     """
 
-    report: ContactReport
-
     def __init__(
         self,
         a: ufl.Form,
@@ -154,39 +126,24 @@ class ContactProblem(SteppedProblem):
     ) -> None:
         check_real_numbers()
         return_free_memory()
-        self.options = contact_options(ContactOptions, options, options_prefix)
-        self._timer = Timer()
-        a, L = as_forms(a, L)
-        self.space = space_of_forms(a, L)
         self.geometry = as_geometry(geometry)
-        if isinstance(contacts, str) and contacts == "auto":
-            with self._timer.phase("contact search"):
-                exact = self.geometry is not None
-                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
-        self.bcs, self.contacts = as_conditions(bcs), as_contacts(contacts, self.geometry)
-        self.u = as_displacement(u, self.space)
-        self.results = self.rigid_bodies = Results()
-        compiler = _compat.CompilerOptions(form_compiler_options, jit_options)
-        data = ProblemData(
-            self.bcs,
-            self.contacts,
-            cell_tags,
-            subdomains,
-            measure_weight,
-            compiler,
-            rigid=as_rigid(rigid),
+        super().__init__(
+            *as_forms(a, L),
+            u,
+            contact_options(ContactOptions, options, options_prefix),
+            bcs=bcs,
+            contacts=contacts,
+            cell_tags=cell_tags,
+            rigid=rigid,
+            subdomains=subdomains,
+            measure_weight=measure_weight,
+            compiler=_compat.CompilerOptions(form_compiler_options, jit_options),
+            displacement=None,
         )
-        size, partitioner = self.options.subdomain_size, self.options.partitioner
-        self._torn = TornProblem(self.space, a, L, data, size, partitioner, self._timer)
-        with self._timer.phase("assembly"):
-            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
-        origin = SlipOrigin.at(Function(self.space))
-        self.system = self._torn.system(origin)
+        self.system = self._torn.system(self._step.origin)
         return_free_memory()
-        self._step = Step.at(origin)
         self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
-        self._solver: TornSolver | None = None
 
     def solve(
         self,
@@ -268,22 +225,21 @@ class ContactProblem(SteppedProblem):
                 interruption.check(self.space.mesh.comm)
             except Interrupted:
                 raise Interrupted("interrupted", uh, self.report) from None
-        if self.options.view and self.space.mesh.comm.rank == 0:
-            print(self.report, flush=True)
+        self._view()
         return uh
-
-    def reset_slip(self) -> None:
-        """Count slip from the undeformed state in the next solve, as in the first one."""
-        self._step = replace(self._step, origin=SlipOrigin.at(Function(self.space)))
 
     # -- the present data --------------------------------------------------------------------------
 
+    @property
+    def _exact(self) -> str:
+        return "" if self.geometry is None else "geometry=Exact()"
+
+    def _first_origin(self) -> SlipOrigin:
+        return SlipOrigin.at(Function(self.space))
+
     def _refresh(self) -> None:
         """Update the system by all that changed since the last solve or the set-up."""
-        with raise_collectively(self.space.mesh.comm):
-            self.bcs = as_conditions(self.bcs)
-            self.contacts = as_contacts(self.contacts, self.geometry)
-            self.u = as_displacement(self.u, self.space)
+        self._check_data()
         if self._torn.torn.has_moved():
             self._deformed = None
             self.reset_slip()
@@ -421,14 +377,6 @@ class ContactProblem(SteppedProblem):
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         bodies = conditions.bodies_after(solution)
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
-        self._solved = solved = conditions.solved(solution, uh, bodies)
-        self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
-        self.report = ContactReport.of(
-            solution.report,
-            self.results,
-            self.options.as_dict(),
-            rigid_bodies=solved.body_results,
-        )
-        displacement, force = owned_values(uh), solved.nodal_forces()
-        self._step = replace(self._step, displacement=displacement, force=force)
+        self._store(solution, conditions, bodies)
+        self._step = replace(self._step, displacement=owned_values(uh))
         return uh

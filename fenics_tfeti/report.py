@@ -114,7 +114,14 @@ class ContactReport(Report):
 
     def pairing_table(self) -> str:
         """Return the pairing of each contact as a table to read, a line for each."""
-        return pairing_table([entry.pairing for entry in self.contacts], self._units.length)
+        length = f"[{self._units.length}]"
+        rows = [[title.replace("[L]", length) for title in _COLUMNS.values()]]
+        rows += [[_word(entry.pairing[key]) for key in _COLUMNS] for entry in self.contacts]
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        return "\n".join(
+            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
+            for row in rows
+        )
 
     @property
     def _units(self) -> Units:
@@ -136,31 +143,6 @@ _COLUMNS = {
     "covered_area": "area",
     "deviation": "deviation [L]",
 }
-
-
-def pairing_table(pairing: Sequence[Mapping[str, Any]], length: str = "m") -> str:
-    """Write the pairing of contacts, see `ContactEntry.pairing`, as a table, a line for each.
-
-    >>> entry = {"contact": "joint", "discretisation": "mortar", "pairs": 25, "unmatched": 0}
-    >>> entry |= {"largest_distance": None, "largest_relative_distance": None}
-    >>> entry |= {"largest_angle": 0.0, "smallest_gap": 0.0, "largest_gap": 0.01}
-    >>> entry |= {"mean_gap": 0.002, "covered_area": 0.5, "deviation": 0.001}
-    >>> table = pairing_table([entry])
-    >>> head, line = table.splitlines()
-    >>> head.split()[:4], line.split()[:4]
-    (['contact', 'discretisation', 'pairs', 'unmatched'], ['joint', 'mortar', '25', '0'])
-    >>> line.split()[4:]
-    ['-', '-', '0', '0', '0.01', '0.002', '0.5', '0.001']
-    """
-    rows = [[title.replace("[L]", f"[{length}]") for title in _COLUMNS.values()]]
-    rows += [[_word(entry[key]) for key in _COLUMNS] for entry in pairing]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return "\n".join(
-        "  ".join(
-            [row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])],
-        )
-        for row in rows
-    )
 
 
 def _word(value: Any) -> str:

@@ -1,7 +1,7 @@
 """Adapter to dolfinx 0.5.2 and 0.9 to 0.11: the only file that depends on the version.
 
-One function for each difference. Its docstring says what each version does and how the function
-dispatches: by an attribute or an argument, before any communication.
+One function for each difference. Its docstring says what each version does; the function dispatches
+by an attribute or an argument, before any communication, or serves all versions.
 """
 
 from __future__ import annotations
@@ -21,9 +21,7 @@ from xml.etree import ElementTree
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-import basix
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
@@ -37,8 +35,7 @@ from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from ufl.differentiation import CoefficientDerivative, VariableDerivative
 
 from fenics_tfeti.fem.reference_cells import reference_cell
-
-Numbers = NDArray[np.int32]
+from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 
 def version() -> str:
@@ -54,8 +51,7 @@ def quiet_compiler() -> Iterator[None]:
       handler when ``ffcx`` was imported;
     - 0.9 to 0.11 write nothing.
 
-    Does not dispatch: where nothing is logged, nothing is suppressed. Warnings and errors of
-    setuptools are logged, and what the compiler writes is not touched.
+    Warnings and errors of setuptools are logged, and what the compiler writes is not touched.
     """
     root = logging.getLogger()
     root.addFilter(_is_no_command_line)
@@ -71,8 +67,6 @@ def identifiers_as_names(functions: Iterable[Any]) -> Iterator[None]:
 
     - 0.5.2 makes names in C of a function's name, which may have spaces;
     - 0.9 to 0.11 do not use it.
-
-    Does not dispatch: the names are restored.
     """
     names = [(w, w.name) for w in functions if not w.name.isidentifier()]
     for number, (w, _) in enumerate(names):
@@ -144,7 +138,7 @@ def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
     return family, int(scalar.degree), tuple(element.reference_value_shape)
 
 
-def cell_dofs(space: fem.FunctionSpace) -> Numbers:
+def cell_dofs(space: fem.FunctionSpace) -> Indices:
     """Return the (blocked) degrees of freedom of each cell of this rank, ghosts included.
 
     - 0.5.2 has an adjacency list, 0.9 to 0.11 a matrix.
@@ -156,20 +150,20 @@ def cell_dofs(space: fem.FunctionSpace) -> Numbers:
     return np.asarray(dofs)
 
 
-def input_cells(domain: mesh.Mesh) -> NDArray[np.int64] | None:
-    """Return the place of each cell of this rank in the input of the mesh; None for a submesh.
+def input_cells(domain: mesh.Mesh) -> Numbers:
+    """Return the place of each owned cell in the input of the mesh; of a submesh global numbers.
 
     - 0.5.2 and 0.9 have an empty array for submeshes, 0.10 and 0.11 raise a RuntimeError.
     """
-    owned = domain.topology.index_map(domain.topology.dim).size_local
+    cells = domain.topology.index_map(domain.topology.dim)
     try:
-        cells = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
+        numbers = np.asarray(domain.topology.original_cell_index, dtype=np.int64)
     except RuntimeError:
-        return None
-    return None if cells.size < owned else cells[:owned]
+        numbers = np.zeros(0, dtype=np.int64)
+    return numbers[: cells.size_local] if numbers.size else np.arange(*cells.local_range)
 
 
-def geometry_cells(domain: mesh.Mesh) -> Numbers:
+def geometry_cells(domain: mesh.Mesh) -> Indices:
     """Return the rows of ``geometry.x`` of each cell of this rank, ghosts included.
 
     - 0.5.2 has ``geometry.dofmap``, an adjacency list;
@@ -195,28 +189,6 @@ def geometry_degree(domain: mesh.Mesh) -> int:
     return next((degree for degree in (1, 2) if nodes == cell.nodes(degree)), 3)
 
 
-def lagrange_points(cell: str, degree: int) -> NDArray[np.float64]:
-    """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on the reference cell.
-
-    The same in all versions of basix.
-    """
-    return np.asarray(_lagrange_element(cell, degree).points)
-
-
-def shape_gradients(cell: str, degree: int, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
-
-    Entry (a, i, j) is that of function j along reference axis a at point i. The same in all
-    versions of basix.
-    """
-    return np.asarray(_lagrange_element(cell, degree).tabulate(1, points)[1:, :, :, 0])
-
-
-def _lagrange_element(cell: str, degree: int) -> Any:
-    kind, family = getattr(basix.CellType, cell), basix.ElementFamily.P
-    return basix.create_element(family, kind, degree, basix.LagrangeVariant.gll_warped)
-
-
 def cell_name(domain: mesh.Mesh) -> str:
     """Return the shape of the cells, such as "hexahedron".
 
@@ -226,7 +198,7 @@ def cell_name(domain: mesh.Mesh) -> str:
     return str(name() if callable(name) else name)
 
 
-def bc_values(bc: Any, size: int) -> tuple[Numbers, NDArray[np.float64]]:
+def bc_values(bc: Any, size: int) -> tuple[Indices, Vector]:
     """Return the unrolled local degrees of freedom of a Dirichlet condition and their values.
 
     - 0.5.2 has ``fem.set_bc(array, [bc])``, 0.9 to 0.11 ``bc.set(array)``; both take
@@ -262,7 +234,7 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 # -- graphs ------------------------------------------------------------------------------------
 
 
-def partition_graph(offsets: Numbers, neighbours: Numbers, count: int) -> Numbers:
+def partition_graph(offsets: Indices, neighbours: Indices, count: int) -> Indices:
     """Partition a graph of this rank, in CSR form, by SCOTCH, always into the same parts.
 
     - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.10 and 0.11 wrap its
@@ -298,8 +270,6 @@ def is_linear_in_arguments(form: ufl.Form) -> bool:
 
     - 0.5.2's UFL fails with a TypeError, that of 0.9 with a ValueError, where it writes the message
       of some ``ArityMismatch``.
-
-    Does not dispatch: all are caught.
     """
     # as UFL does before its own check
     lowered = remove_complex_nodes(apply_algebra_lowering(form))
@@ -326,8 +296,7 @@ class CompiledForm:
 
     - 0.5.2 compiles with ``jit.ffcx_jit``, 0.9 to 0.11 with ``fem.compile_form``.
 
-    Dispatches on ``fem.compile_form``. Integrals name their tags: none is over "everywhere". Rank 0
-    compiles, then the others load.
+    Integrals name their tags: none is over "everywhere". Rank 0 compiles, then the others load.
     """
 
     def __init__(
@@ -340,10 +309,12 @@ class CompiledForm:
         form_options = dict(compiler.form_compiler_options or {})
         if self._new:
             form_options = {"scalar_type": dolfinx.default_scalar_type, **form_options}
+        jit_options = dict(compiler.jit_options or {})
         with quiet_compiler(), identifiers_as_names(form.coefficients()):
-            self._compiled = compile_form(
-                comm, form, form_options, dict(compiler.jit_options or {})
-            )
+            compiled = compile_form(comm, form, form_options, jit_options)
+        self._ufcx, self._module = (
+            (compiled.ufcx_form, compiled.module) if self._new else compiled[:2]
+        )
 
     @property
     def integrals(self) -> list[tuple[str, int, Any]]:
@@ -352,7 +323,7 @@ class CompiledForm:
         - 0.5.2 has functions ``integrals``, ``integral_ids`` and ``num_integrals`` of the kind;
         - 0.9 to 0.11 have arrays of all kinds, with offsets.
         """
-        form, integrals = self._ufcx[0], []
+        form, integrals = self._ufcx, []
         for number, kind in enumerate(("cell", "exterior_facet")):
             if self._new:
                 begin, end = (form.form_integral_offsets[i] for i in (number, number + 1))
@@ -370,31 +341,31 @@ class CompiledForm:
 
         - 0.5.2 has ``original_coefficient_position``, 0.9 to 0.11 the same with an s.
         """
-        form, functions = self._ufcx[0], self._form.coefficients()
+        form, functions = self._ufcx, self._form.coefficients()
         name = "original_coefficient_position" + "s" * self._new
         return [functions[getattr(form, name)[i]] for i in range(form.num_coefficients)]
 
     def add_element_tensors(
         self,
         kernel: Any,
-        tensors: NDArray[np.float64],
-        rows: NDArray[Any],
-        coefficients: NDArray[np.float64],
-        coordinates: NDArray[np.float64],
-        facets: NDArray[np.int32] | None = None,
+        tensors: Vector,
+        rows: Array,
+        coefficients: Vector,
+        coordinates: Vector,
+        facets: Indices | None = None,
     ) -> None:
         """Add an integral over some cells, or over a facet of each, to their element tensors.
 
         - Kernels of 0.5.2 and 0.9 have six arguments, those of 0.10 and 0.11 a last one for data of
           the user.
 
-        Dispatches on their number. `rows` are those of the cells in the tensors (m, ...), the
+        `rows` are those of the cells in the tensors (m, ...), the
         coefficients (m, w) and the coordinates (m, v, 3) of the nodes of the geometry. Facets are
         local numbers, one for each of the rows.
         """
-        ffi = self._ufcx[1].ffi
+        ffi = self._module.ffi
 
-        def pointers(values: NDArray[Any], at: NDArray[Any], kind: str = "double") -> Any:
+        def pointers(values: Array, at: Array, kind: str = "double") -> Any:
             if not values.size:
                 return repeat(ffi.NULL)
             addresses = values.ctypes.data + values.strides[0] * at.astype(np.uintp)
@@ -413,24 +384,12 @@ class CompiledForm:
         # the loop over the cells is within map and deque
         deque(map(kernel, *arguments, *[repeat(ffi.NULL)] * more), maxlen=0)
 
-    @property
-    def _ufcx(self) -> tuple[Any, Any]:
-        """The compiled form and its module."""
-        if self._new:
-            return self._compiled.ufcx_form, self._compiled.module
-        form, module, _ = self._compiled
-        return form, module
-
 
 # -- meshes, files and pictures ----------------------------------------------------------------
 
 
 def distributed_mesh(
-    comm: MPI.Comm,
-    cells: NDArray[np.int64],
-    points: NDArray[np.float64],
-    cell: str,
-    degree: int = 1,
+    comm: MPI.Comm, cells: Numbers, points: Vector, cell: str, degree: int = 1
 ) -> dolfinx.mesh.Mesh:
     """Create a distributed mesh from each rank's share of cells (m, n) and points (k, gdim) [m].
 
@@ -440,8 +399,7 @@ def distributed_mesh(
     - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where later
       versions call none: a quarter to a third of the time.
 
-    Dispatches on the name of the argument of the coordinate element. Nodes of cells are in the
-    order of dolfinx; points are numbered through the ranks.
+    Nodes of cells are in the order of dolfinx; points are numbered through the ranks.
     """
     gdim = points.shape[1]
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
@@ -467,8 +425,6 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
     - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
     - 0.10 and 0.11 have ``dolfinx.io.gmsh``, which returns an object with these attributes, and
       None for facet tags where no facet is tagged.
-
-    Dispatches on the module that can be imported and on the attributes of the result.
     """
     try:
         from dolfinx.io import gmsh as reader
@@ -487,17 +443,13 @@ def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any,
     return domain, cell_tags, facet_tags
 
 
-def entity_nodes(
-    domain: dolfinx.mesh.Mesh, dim: int, entities: NDArray[np.int32]
-) -> NDArray[np.int32]:
+def entity_nodes(domain: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Indices:
     """Return the rows (m, v) of ``mesh.geometry.x`` at the vertices of entities such as facets.
 
     - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 to 0.11 as well, and all take
       the C++ mesh;
     - 0.9 divides by the number of entities, which ends the process when there are none;
     - of curved cells, 0.9 to 0.11 return the other nodes as well, after the vertices.
-
-    Does not dispatch: without entities, dolfinx is not called, and other nodes are cut off.
     """
     domain.topology.create_connectivity(dim, domain.topology.dim)
     shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
@@ -511,10 +463,7 @@ def entity_nodes(
 def interpolate_expression(expression: Any, function: Any) -> None:
     """Interpolate a UFL expression into a function of dolfinx.
 
-    - 0.5.2, 0.9 and 0.10 have the method ``element.interpolation_points()``;
-    - 0.11 has the attribute of this name.
-
-    Dispatches on whether it can be called.
+    - ``element.interpolation_points`` is a method in 0.5.2, 0.9 and 0.10, an array in 0.11.
     """
     points = function.function_space.element.interpolation_points
     points = points() if callable(points) else points
@@ -528,8 +477,6 @@ def list_pieces(index: Path, pieces: Sequence[str]) -> None:
 
     - 0.5.2 lists the files once for each function, so that ParaView draws the mesh several times;
     - 0.9 to 0.11 list them once.
-
-    Does not dispatch: the list is replaced.
     """
     tree = ElementTree.parse(index)
     grid = tree.getroot()[0]

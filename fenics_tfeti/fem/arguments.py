@@ -13,16 +13,10 @@ import numpy as np
 import ufl
 from dolfinx.fem import Constant, Function, FunctionSpace
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.description import (
-    Contact,
-    ContactPair,
-    Exact,
-    contact_name,
-)
+from fenics_tfeti.fem.contact.description import Contact, ContactPair, Exact, Tie, contact_name
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
-from fenics_tfeti.fem.contact.ties.description import Tie
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -38,9 +32,7 @@ def as_residual(F: Any, u: Any, J: Any) -> tuple[ufl.Form, ufl.Form]:
     """Return the tangent and minus the residual; the tangent is by default the derivative."""
     _check_form(F, "the residual F")
     if not isinstance(u, Function):
-        raise InputError(
-            f"u is a {type(u).__name__}; the dolfinx.fem.Function of the residual F is expected"
-        )
+        raise wrong_type("u", u, "the dolfinx.fem.Function of the residual F")
     if len(F.arguments()) != 1:
         raise InputError(
             f"F has {len(F.arguments())} arguments; a residual has one, its test function: "
@@ -64,10 +56,7 @@ def as_displacement(u: Any, space: FunctionSpace) -> Function:
     if u is None:
         return Function(space, name="displacement")
     if not isinstance(u, Function):
-        raise InputError(
-            f"u is a {type(u).__name__}; a dolfinx.fem.Function on the space of the forms is "
-            "expected"
-        )
+        raise wrong_type("u", u, "a dolfinx.fem.Function on the space of the forms")
     if u.function_space != space:
         raise InputError("u is not on the function space of the forms; make it by Function(V)")
     return u
@@ -93,26 +82,19 @@ def as_rigid(rigid: Any) -> dict[int, RigidBody]:
     if rigid is None:
         return {}
     if not isinstance(rigid, Mapping):
-        raise InputError(
-            f"rigid is a {type(rigid).__name__}; a dict of RigidBody by tags of cells is expected"
-        )
+        raise wrong_type("rigid", rigid, "a dict of RigidBody by tags of cells")
     for tag, body in rigid.items():
         if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
             raise InputError(f"rigid: {tag!r} is no tag of cells; an integer is expected")
         if not isinstance(body, RigidBody):
-            raise InputError(
-                f"rigid: the body with tag {tag} is a {type(body).__name__}; a RigidBody is "
-                "expected"
-            )
+            raise wrong_type(f"rigid: the body with tag {tag}", body, "a RigidBody")
     return {int(tag): body for tag, body in rigid.items()}
 
 
-def as_contacts(
-    contacts: Any, geometry: Exact | None, what: str = "geometry=Exact()"
-) -> list[Contact | Tie]:
+def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
     """Return the contacts and ties as a list: none for None, one for a single one.
 
-    With a geometry, gaps are measured on the deformed mesh, as messages say by `what` does so.
+    `exact` names for messages what measures gaps on the deformed mesh, if anything does.
     """
     kinds = "ContactPair, RigidObstacle, TiedPair, PeriodicPair, BoltPreload or LinearRows"
     if isinstance(contacts, str):
@@ -121,12 +103,12 @@ def as_contacts(
             "problem is made (later: find_contacts)"
         )
     names = ("contacts", kinds, "contact")
-    listed = _listed(contacts, _is_contact, names, kinds)
-    for number, contact in enumerate(listed if geometry is not None else []):
+    listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
+    for number, contact in enumerate(listed if exact else []):
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
                 f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
-                f"the gap of the mesh, but {what} measures gaps on the deformed mesh. "
+                f"the gap of the mesh, but {exact} measures gaps on the deformed mesh. "
                 "Leave out one of them"
             )
     return listed
@@ -134,10 +116,6 @@ def as_contacts(
 
 def _is_condition(thing: Any) -> bool:
     return hasattr(thing, "function_space") and hasattr(_compat.cpp_object(thing), "dof_indices")
-
-
-def _is_contact(thing: Any) -> bool:
-    return isinstance(thing, Contact | Tie)
 
 
 def _listed(
@@ -150,11 +128,11 @@ def _listed(
     if is_item(value):
         return [value]
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise InputError(f"{argument} is a {type(value).__name__}; a list of {items} is expected")
+        raise wrong_type(argument, value, f"a list of {items}")
     listed = list(value)
     for number, thing in enumerate(listed):
         if not is_item(thing):
-            raise InputError(f"{item} {number} is a {type(thing).__name__}; {expected} is expected")
+            raise wrong_type(f"{item} {number}", thing, expected)
     return listed
 
 

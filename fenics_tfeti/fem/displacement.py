@@ -49,11 +49,10 @@ def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
         raise InputError("the arguments of a and L are on different function spaces; use one")
     cell = _compat.cell_name(space.mesh)
     if cell not in MESH_CELLS:
+        bars = ". Model bars and points as bodies in two or three dimensions"
         raise InputError(
-            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}. Model "
-            "bars and points as bodies in two or three dimensions"
-            if cell in ("interval", "point")
-            else f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
+            f"the mesh has cells of the type {cell}; supported are {', '.join(MESH_CELLS)}"
+            f"{bars if cell in ('interval', 'point') else ''}"
         )
     family, degree, shape = _compat.element_facts(space)
     gdim = space.mesh.geometry.dim

@@ -13,6 +13,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
 from fenics_tfeti.fem.topology import batches, owned_cells
 from fenics_tfeti.typing import Vector
 
@@ -37,9 +38,9 @@ class CellGradients:
         cell = _compat.cell_name(space.mesh)
         _, degree, _ = _compat.element_facts(space)
         geometry = _compat.geometry_degree(space.mesh)
-        nodes = _compat.lagrange_points(cell, degree)
+        nodes = lagrange_points(cell, degree)
         self._at_nodes, self._at_midpoint = (
-            [_compat.shape_gradients(cell, d, points) for d in (geometry, degree)]
+            [shape_gradients(cell, d, points) for d in (geometry, degree)]
             for points in (nodes, nodes.mean(axis=0, keepdims=True))
         )
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import isfinite
+from typing import NamedTuple
 
 from mpi4py import MPI
 
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Vector
 
@@ -50,25 +51,26 @@ def first_distances(
     )
 
 
-def raise_where(
-    comm: MPI.Intracomm,
-    wrong: NDArray[np.bool_],
-    points: Vector,
-    message: Callable[[int, str], str],
-) -> None:
-    """Raise an `InputError` on all ranks if points of any rank are wrong. Collective.
+class WrongPoints(NamedTuple):
+    """How many points of all ranks are wrong, and the coordinates of the first one as text."""
 
-    `wrong` (k,) marks some of this rank's points (k, gdim) [m]; the message is made of the number
-    of wrong points of all ranks and the coordinates of the first one as text.
-    """
+    number: int
+    place: str
+
+
+def first_wrong(
+    comm: MPI.Intracomm, wrong: NDArray[np.bool_], points: Vector
+) -> WrongPoints | None:
+    """Return what is wrong at this rank's points (k, gdim) [m], if at any rank's. Collective."""
     bad = concatenate_ranks(comm, points[wrong])
     size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
-    if len(bad):
-        first = bad[coordinate_order(bad)[0]]
-        raise InputError(message(len(bad), format_point(first, size)))
+    if not len(bad):
+        return None
+    return WrongPoints(len(bad), format_point(bad[coordinate_order(bad)[0]], size))
 
 
-def format_mesh_point(domain: Mesh, point: Vector) -> str:
-    """Write a point (gdim,) with the digits that the size of the mesh leaves. Collective."""
+def first_mesh_point(domain: Mesh, points: Vector) -> str:
+    """Write the first of points (k, gdim) with the digits that the mesh leaves. Collective."""
     size = float(np.abs(domain.geometry.x).max(initial=0.0))
-    return format_point(point, domain.comm.allreduce(size, MPI.MAX))
+    first = points[coordinate_order(points)[0]]
+    return format_point(first, domain.comm.allreduce(size, MPI.MAX))

@@ -14,7 +14,8 @@ from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.parallel import all_to_all
+from fenics_tfeti.fem.topology import global_numbers
+from fenics_tfeti.parallel import all_to_all, send_rows
 from fenics_tfeti.typing import Numbers, Vector
 
 Array = NDArray[Any]
@@ -61,8 +62,7 @@ class NodeMap:
 
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
-        numbers = self._map.local_to_global(local.ravel().astype(np.int32))
-        return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+        return global_numbers(self._map, local)
 
     def to_local(self, nodes: Numbers) -> Numbers:
         """Return the local numbers of global nodes (k,) on this rank."""
@@ -96,11 +96,7 @@ class NodeMap:
         Returned are local numbers and the data that arrive, in the order of ranks.
         """
         owner = np.searchsorted(self._ends, nodes, side="right")
-        order = np.argsort(owner, kind="stable")
-        cuts = np.searchsorted(owner[order], np.arange(1, self.comm.size))
-        columns = [np.split(column[order], cuts) for column in (nodes, *data)]
-        received = all_to_all(self.comm, list(zip(*columns, strict=True)))
-        arrived, *rest = (np.concatenate(column) for column in zip(*received, strict=True))
+        arrived, *rest = send_rows(self.comm, owner, nodes, *data)
         return arrived - self.first, *rest
 
     def sum_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:
@@ -122,25 +118,15 @@ class NodeMap:
         """Numbers (owned,) of the owned nodes by the mesh's input. The first time collective.
 
         The number of a node is its place in the first cell that it belongs to, in the order in
-        which the cells were given to dolfinx. It is the same for the same input on any ranks.
-        Numbers are distinct, with gaps. A submesh has no input: they are the global numbers.
+        which the cells were given to dolfinx; of a submesh, which has no input, in the global one.
+        It is the same for the same input on any ranks. Numbers are distinct, with gaps.
         """
         cells = _compat.input_cells(self.space.mesh)
-        if not self.comm.allreduce(cells is not None, MPI.LAND) or cells is None:
-            return np.arange(self.first, self.first + self.owned, dtype=np.int64)
         nodes = _compat.cell_dofs(self.space)[: cells.size].astype(np.int64)
         number = cells[:, np.newaxis] * nodes.shape[1] + np.arange(nodes.shape[1])
-        in_cells = np.zeros(self.size, dtype=bool)
-        in_cells[nodes] = True
-        local = np.flatnonzero(in_cells)
-        lowest = _lowest(nodes, number, self.size)[local]
-        return self.sum_at_owners(self.to_global(local), lowest, np.minimum)
-
-
-def _lowest(positions: Numbers, numbers: Numbers, size: int) -> Numbers:
-    """Return the lowest number at each of so many positions; rows (k, v) of numbers ascend."""
-    order = np.argsort(numbers[:, 0])[::-1]
-    lowest = np.zeros(size, dtype=np.int64)
-    # of several values for one position the last one stays
-    lowest[positions[order]] = numbers[order]
-    return lowest
+        lowest = np.full(self.size, -1, dtype=np.int64)
+        order = np.argsort(cells)[::-1]
+        # of several values for one position the last one stays
+        lowest[nodes[order]] = number[order]
+        local = np.flatnonzero(lowest >= 0)
+        return self.sum_at_owners(self.to_global(local), lowest[local], np.minimum)

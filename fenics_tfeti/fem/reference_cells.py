@@ -1,4 +1,4 @@
-"""Reference cells: vertices, edges and facets, and their order in dolfinx and in VTK.
+"""Reference cells: vertices, edges and facets, and their order in dolfinx.
 
 Vertices, edges and facets are numbered as in basix and dolfinx; the vertices of quadrilaterals and
 hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
@@ -7,7 +7,8 @@ hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
@@ -31,11 +32,6 @@ class ReferenceCell:
     vertices: int
     edges: tuple[tuple[int, int], ...]  # vertices of each, in dolfinx's numbering of edges
     facets: tuple[Vertices, ...]  # vertices of each, in dolfinx's numbering of facets
-    facet_name: str
-    axes: Vertices  # neighbours of vertex 0, such that the edges to them form a right-handed system
-    reflected: Vertices  # the vertices in an order that reverses the orientation
-    vtk_type: int
-    vtk_order: Vertices  # the vertices in the order of VTK, which is also that of Gmsh
     # The cells into which one block of a grid is cut, by the vertices of the block in tensor-
     # product order. Simplices all share the diagonal from the lowest to the highest vertex:
     # opposite sides of the block are cut alike, so that adjacent grids match.
@@ -49,13 +45,11 @@ class ReferenceCell:
     @property
     def facet(self) -> ReferenceCell:
         """The cell type of the facets; not for intervals."""
-        return reference_cell(self.facet_name)
+        return reference_cell(_FACET_NAMES[len(self.facets[0])])
 
     def nodes(self, degree: int) -> int:
         """Return the number of nodes of degree 1 or 2."""
-        if degree == 1:
-            return self.vertices
-        return self.vertices * (self.vertices + 1) // 2 if self.is_simplex else 3**self.dim
+        return len(lagrange_points(self.name, degree))
 
     def facet_nodes(self, degree: int) -> tuple[Vertices, ...]:
         """Return the nodes of each facet for degree 1 or 2, as numbers of the cell's nodes.
@@ -73,118 +67,60 @@ class ReferenceCell:
         faces = self.facets if self.dim == 3 else ()
         return (*self.edges, *faces, tuple(range(self.vertices)))
 
-    def pieces(self, degree: int) -> tuple[Vertices, ...]:
-        """Return the cells of this type into which the nodes of degree 1 or 2 cut the cell."""
-        return self._halved if degree == 2 else (tuple(range(self.vertices)),)
-
-    @cached_property
-    def _halved(self) -> tuple[Vertices, ...]:
-        means = (*((vertex,) for vertex in range(self.vertices)), *self.midpoints)
-        number = {frozenset(mean): node for node, mean in enumerate(means)}
-        cut = _SIMPLEX_PIECES[self.dim] if self.is_simplex else _grid_pieces(self.dim)
-        return tuple(tuple(number[frozenset(mean)] for mean in piece) for piece in cut)
-
     @cached_property
     def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
-        cycle_order = self.facet.vtk_order
-        linear = tuple(tuple(facet[k] for k in cycle_order) for facet in self.facets)
-        number = {edge: self.vertices + k for k, edge in enumerate(self.edges)}
-        quadratic = []
-        for k, cycle in enumerate(linear):
-            ends = [cycle] if self.dim == 2 else zip(cycle, cycle[1:] + cycle[:1], strict=True)
-            middles = [number[min(pair), max(pair)] for pair in ends]
-            centre = [self.vertices + len(self.edges) + k] if len(cycle) == 4 else []
-            quadratic.append((*cycle, *middles, *centre))
-        return linear, tuple(quadratic)
+        order = self.facet.cycle
+        linear = tuple(tuple(facet[k] for k in order) for facet in self.facets)
+        return linear, tuple(self._with_midpoints(cycle, k) for k, cycle in enumerate(linear))
 
+    @property
+    def cycle(self) -> Vertices:
+        """The vertices of a cell of two dimensions or less one after the other around it."""
+        return (0, 1, 3, 2) if self.name == "quadrilateral" else tuple(range(self.vertices))
 
-# The pieces of simplices of degree 2, by the vertices whose mean each corner is.
-_SIMPLEX_PIECES: dict[int, tuple[tuple[Vertices, ...], ...]] = {
-    2: (
-        ((0,), (0, 1), (0, 2)),
-        ((0, 1), (1,), (1, 2)),
-        ((0, 2), (1, 2), (2,)),
-        ((0, 1), (1, 2), (0, 2)),
-    ),
-    3: (
-        ((0,), (0, 1), (0, 2), (0, 3)),
-        ((0, 1), (1,), (1, 2), (1, 3)),
-        ((0, 2), (1, 2), (2,), (2, 3)),
-        ((0, 3), (1, 3), (2, 3), (3,)),
-        # the octahedron that is left, around its diagonal between the edges 02 and 13
-        ((0, 2), (1, 3), (0, 1), (1, 2)),
-        ((0, 2), (1, 3), (1, 2), (2, 3)),
-        ((0, 2), (1, 3), (2, 3), (0, 3)),
-        ((0, 2), (1, 3), (0, 3), (0, 1)),
-    ),
-}
+    def around(self, degree: int) -> Vertices:
+        """Return the nodes of a cell of two dimensions, in the order of `facet_nodes`."""
+        return self.cycle if degree == 1 else self._with_midpoints(self.cycle, 0)
 
+    def _with_midpoints(self, cycle: Vertices, number: int) -> Vertices:
+        """Return the nodes of degree 2 of a face of a number in the order of `facet_nodes`."""
+        middle = {edge: self.vertices + k for k, edge in enumerate(self.edges)}
+        ends = [cycle] if len(cycle) == 2 else zip(cycle, cycle[1:] + cycle[:1], strict=True)
+        centre = [self.vertices + len(self.edges) + number] if len(cycle) == 4 else []
+        return (*cycle, *(middle[min(pair), max(pair)] for pair in ends), *centre)
 
-def _grid_pieces(dim: int) -> list[list[Vertices]]:
-    """Return the pieces of a quadrilateral or hexahedron of degree 2, as `_SIMPLEX_PIECES`."""
-    corners = [[v >> axis & 1 for axis in range(dim)] for v in range(2**dim)]
-
-    def vertices_around(first: list[int], second: list[int]) -> Vertices:
-        # along each axis the side where both are, or both sides
-        return tuple(
-            v
-            for v, corner in enumerate(corners)
-            if all(a != b or c == a for a, b, c in zip(first, second, corner, strict=True))
-        )
-
-    return [[vertices_around(piece, corner) for corner in corners] for piece in corners]
-
-
-def _from_basix(
-    name: str, facet_name: str, vtk_type: int, grid_cut: tuple[Vertices, ...] = ()
-) -> ReferenceCell:
-    """Return a cell type with the vertices, edges and facets that basix has for it."""
-    corners, *entities = basix.topology(getattr(basix.CellType, name))
-    vertices, dim = range(len(corners)), len(entities)
-    edges = tuple((a, b) for a, b in entities[0])
-    tensor, swapped = len(vertices) == 2**dim > 2, (1, 2)  # a swap of the first two axes
-    return ReferenceCell(
-        name=name,
-        dim=dim,
-        vertices=len(vertices),
-        edges=edges,
-        facets=tuple(map(tuple, entities[dim - 2])) if dim > 1 else ((0,), (1,)),
-        facet_name=facet_name,
-        axes=tuple(sorted(b for a, b in edges if a == 0)),
-        reflected=tuple(v ^ 3 if v % 4 in swapped else v for v in vertices) if dim > 1 else (1, 0),
-        vtk_type=vtk_type,
-        vtk_order=tuple(v ^ (v >> 1 & 1) for v in vertices) if tensor else tuple(vertices),
-        grid_cut=grid_cut or (tuple(vertices),),
-    )
-
-
-_TRIANGLES = ((0, 1, 3), (0, 2, 3))
-_TETRAHEDRA = (
-    *((0, 1, 3, 7), (0, 1, 5, 7), (0, 4, 5, 7)),
-    *((0, 2, 3, 7), (0, 4, 6, 7), (0, 2, 6, 7)),
-)
-_CELLS = {
-    cell.name: cell
-    for cell in (
-        _from_basix("interval", "point", 3),
-        _from_basix("triangle", "interval", 5, _TRIANGLES),
-        _from_basix("quadrilateral", "interval", 9),
-        _from_basix("tetrahedron", "triangle", 10, _TETRAHEDRA),
-        _from_basix("hexahedron", "quadrilateral", 12),
-    )
-}
 
 MESH_CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 """Names of the cell types that a mesh can have."""
 
+# by their numbers of vertices
+_FACET_NAMES = {2: "interval", 3: "triangle", 4: "quadrilateral"}
+_GRID_CUTS = {
+    "triangle": ((0, 1, 3), (0, 2, 3)),
+    "tetrahedron": (
+        *((0, 1, 3, 7), (0, 1, 5, 7), (0, 4, 5, 7)),
+        *((0, 2, 3, 7), (0, 4, 6, 7), (0, 2, 6, 7)),
+    ),
+}
 
+
+@cache
 def reference_cell(name: str) -> ReferenceCell:
-    """Return the cell type with a name of dolfinx.
+    """Return the cell type with a name of dolfinx, with the vertices that basix has for it.
 
     >>> reference_cell("tetrahedron").facet.edges
     ((1, 2), (0, 2), (0, 1))
     """
-    return _CELLS[name]
+    entities = basix.topology(getattr(basix.CellType, name))
+    vertices = tuple(range(len(entities[0])))
+    return ReferenceCell(
+        name,
+        dim=len(entities) - 1,
+        vertices=len(vertices),
+        edges=tuple((a, b) for a, b in entities[1]),
+        facets=tuple(map(tuple, entities[-2])),
+        grid_cut=_GRID_CUTS.get(name, (vertices,)),
+    )
 
 
 def quadrature(name: str, degree: int) -> tuple[Vector, Vector]:
@@ -195,3 +131,22 @@ def quadrature(name: str, degree: int) -> tuple[Vector, Vector]:
     """
     points, weights = basix.make_quadrature(getattr(basix.CellType, name), degree)
     return np.asarray(points), np.asarray(weights)
+
+
+def lagrange_points(name: str, degree: int) -> Vector:
+    """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on a cell."""
+    return np.asarray(_lagrange_element(name, degree).points)
+
+
+def shape_gradients(name: str, degree: int, points: Vector) -> Vector:
+    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
+
+    Entry (a, i, j) is that of function j along reference axis a at point i.
+    """
+    return np.asarray(_lagrange_element(name, degree).tabulate(1, points)[1:, :, :, 0])
+
+
+@cache
+def _lagrange_element(name: str, degree: int) -> Any:
+    kind, family = getattr(basix.CellType, name), basix.ElementFamily.P
+    return basix.create_element(family, kind, degree, basix.LagrangeVariant.gll_warped)

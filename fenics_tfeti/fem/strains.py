@@ -49,7 +49,7 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
                 f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
                 f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear "
                 "elasticity and the contact conditions are right for |grad u| much smaller than 1 "
-                "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?",
+                "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?"
             )
     return True
 

@@ -15,7 +15,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices
+from fenics_tfeti.typing import Indices, Numbers
 
 
 def cell_type(domain: Mesh) -> ReferenceCell:
@@ -34,7 +34,7 @@ def batches(count: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, count))
 
 
-def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
+def tags_of_cells(domain: Mesh, cell_tags: Any) -> Numbers:
     """Return the tag of each cell that this rank owns; all cells need one. Collective."""
     owned = owned_cells(domain)
     tags = np.zeros(owned, dtype=np.int64)
@@ -62,6 +62,12 @@ def tags_of_cells(domain: Mesh, cell_tags: Any) -> NDArray[np.int64]:
     return tags
 
 
+def global_numbers(index_map: Any, local: NDArray[Any]) -> Numbers:
+    """Return the global numbers of local ones of an index map, in an array of the same shape."""
+    numbers = index_map.local_to_global(local.ravel().astype(np.int32))
+    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+
+
 def cell_vertices(domain: Mesh) -> Indices:
     """Return the rows (cells, v) of ``geometry.x`` at the vertices of each cell, ghosts last."""
     return _compat.geometry_cells(domain)[:, : cell_type(domain).vertices]
@@ -75,7 +81,7 @@ def vertex_nodes(space: FunctionSpace) -> Indices:
     return _compat.cell_dofs(space)[:, : cell_type(space.mesh).vertices]
 
 
-def nodes_in(other: FunctionSpace, space: FunctionSpace) -> NDArray[np.int64]:
+def nodes_in(other: FunctionSpace, space: FunctionSpace) -> Numbers:
     """Return the local node of another space at each node of a space that is at a vertex.
 
     Two spaces may number their nodes differently. The entries of nodes at no vertex are 0.

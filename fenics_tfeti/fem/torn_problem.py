@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -17,14 +17,18 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
-from fenics_tfeti.fem.contact.contact_set import ContactSearch, ContactSet
-from fenics_tfeti.fem.contact.description import Contact
+from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.description import Contact, Tie
+from fenics_tfeti.fem.contact.matching import ContactSearch
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
-from fenics_tfeti.fem.contact.ties.description import Tie
+from fenics_tfeti.fem.decomposition.assembly import TornMesh, prepare_forms
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.decomposition.partition import Partitioner
-from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
+from fenics_tfeti.fem.decomposition.partition import (
+    Partitioner,
+    as_subdomains,
+    split_into_subdomains,
+)
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_contact_stiffness
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
@@ -39,12 +43,14 @@ class ProblemData:
 
     bcs: list[Any]
     contacts: list[Contact | Tie]
-    cell_tags: Any = None
-    subdomains: Sequence[int] | None = None
-    measure_weight: Any = None
-    compiler: _compat.CompilerOptions = _compat.CompilerOptions()
-    displacement: Function | None = None  # of the surfaces where obstacles are evaluated
-    rigid: Mapping[int, RigidBody] = field(default_factory=dict)  # bodies by tag of their cells
+    cell_tags: Any
+    subdomains: Sequence[int] | None  # labels of cells
+    size: int  # of subdomains without labels, in unknowns
+    partitioner: Partitioner
+    measure_weight: Any
+    compiler: _compat.CompilerOptions
+    displacement: Function | None  # of the surfaces where obstacles are evaluated
+    rigid: Mapping[int, RigidBody]  # bodies by tag of their cells
 
     @property
     def touching(self) -> list[Contact]:
@@ -58,14 +64,7 @@ class TornProblem:
     undeformed: ContactSet
 
     def __init__(
-        self,
-        space: FunctionSpace,
-        a: ufl.Form,
-        L: ufl.Form,
-        data: ProblemData,
-        size: int,
-        partitioner: Partitioner,
-        timer: Timer,
+        self, space: FunctionSpace, a: ufl.Form, L: ufl.Form, data: ProblemData, timer: Timer
     ) -> None:
         self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
         with timer.phase("partition"):
@@ -76,18 +75,15 @@ class TornProblem:
             space, self.bodies, data.measure_weight, timer, data.displacement, data.rigid
         )
         found = self._find()
-        self.torn = TornMesh(
-            space,
-            a,
-            L,
-            data.compiler,
-            self.bodies,
-            self._search.boundary.coordinates,
-            data.subdomains,
-            size,
-            partitioner,
-            timer,
-        )
+        with timer.phase("compilation"):
+            forms = prepare_forms(space, a, L, data.compiler)
+        with timer.phase("partition"):
+            cells = (
+                split_into_subdomains(space, self.bodies, data.size, data.partitioner)
+                if data.subdomains is None
+                else as_subdomains(space.mesh, self.bodies, data.subdomains)
+            )
+        self.torn = TornMesh(forms, self.bodies, cells, self._search.boundary.coordinates, timer)
         self._contact_stiffness: ContactStiffness | None = None
         self._assemble(found)
 
@@ -123,7 +119,7 @@ class TornProblem:
 
     def _assemble(self, found: ContactSet, release: Callable[[], None] | None = None) -> None:
         """Assemble the subdomains, after which slave and master may be exchanged."""
-        subdomains = self.torn.assemble(release or (lambda: None))
+        subdomains = self.torn.assemble(release)
         found = self._search.with_roles(found, self.data.contacts, subdomains)
         self.undeformed = replace(found, bodies=self.loaded(found.bodies))
 
@@ -173,7 +169,7 @@ class TornProblem:
         forces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        subdomains = self.torn.assemble(lambda: None)
+        subdomains = self.torn.assemble()
         stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
         for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
             if not has_small_strains(s):
@@ -207,7 +203,7 @@ class TornProblem:
 
     def largest_stiffness(self) -> float:
         """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
-        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble(lambda: None)]
+        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble()]
         return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -77,15 +77,11 @@ def scalars_at(
     It is a number, a function, or an array of values at the points. No value is below `lowest`.
     """
     with raise_collectively(comm):
-        scalars = _scalars(values, points, what) if callable(values) else values
+        scalars = _called(values, points, what, (len(points),)) if callable(values) else values
     scalars = np.array(np.broadcast_to(scalars, len(points)), dtype=float)
     wrong = "NaN or infinite" if lowest == -np.inf else "negative, NaN or infinite"
-    raise_where(
-        comm,
-        ~(np.isfinite(scalars) & (scalars >= lowest)),
-        points[:, :gdim],
-        lambda number, place: f"{what} is {wrong} at {number} points, the first at {place}",
-    )
+    if bad := first_wrong(comm, ~(np.isfinite(scalars) & (scalars >= lowest)), points[:, :gdim]):
+        raise InputError(f"{what} is {wrong} at {bad.number} points, the first at {bad.place}")
     return scalars
 
 
@@ -95,12 +91,10 @@ def vectors_at(
     """Return a user's constant vector or vector field (k, gdim) at points (k, 3). Collective."""
     with raise_collectively(comm):
         vectors = _vectors(field, points, gdim, what)
-    raise_where(
-        comm,
-        ~np.isfinite(vectors).all(axis=1),
-        points[:, :gdim],
-        lambda number, place: f"{what} is NaN or infinite at {number} points, the first at {place}",
-    )
+    if bad := first_wrong(comm, ~np.isfinite(vectors).all(axis=1), points[:, :gdim]):
+        raise InputError(
+            f"{what} is NaN or infinite at {bad.number} points, the first at {bad.place}"
+        )
     return vectors
 
 
@@ -111,15 +105,11 @@ def unit_vectors(
     vectors = vectors_at(comm, direction, points, gdim, what)
     length = np.linalg.norm(vectors, axis=1)
     longest = comm.allreduce(float(length.max(initial=0.0)), MPI.MAX)
-    raise_where(
-        comm,
-        length <= NO_DIRECTION * longest,
-        points[:, :gdim],
-        lambda number, place: (
-            f"{what} vanishes at {number} points, the first at {place}: give a non-zero vector at "
-            "every node of the slave"
-        ),
-    )
+    if bad := first_wrong(comm, length <= NO_DIRECTION * longest, points[:, :gdim]):
+        raise InputError(
+            f"{what} vanishes at {bad.number} points, the first at {bad.place}: give a non-zero "
+            "vector at every node of the slave"
+        )
     unit: Vector = vectors / length[:, None]
     return unit
 
@@ -145,15 +135,10 @@ def as_array(data: Any, what: str) -> Vector:
         )
 
 
-def _scalars(function: Callable[[Vector], ArrayLike], points: Vector, what: str) -> Vector:
-    k = len(points)
-    return _called(function, points, what, {(k,)}, f"({k},)")
-
-
 def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector:
     k = len(points)
     if callable(field):
-        values = _called(field, points, what, {(gdim, k), (3, k)}, f"({gdim}, {k})")
+        values = _called(field, points, what, (gdim, k), (3, k))
         vectors: Vector = values[:gdim].T
         return vectors
     vector = as_array(field, what)
@@ -163,19 +148,15 @@ def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector
 
 
 def _called(
-    function: Callable[[Vector], ArrayLike],
-    points: Vector,
-    what: str,
-    shapes: set[tuple[int, ...]],
-    expected: str,
+    function: Callable[[Vector], ArrayLike], points: Vector, what: str, *shapes: tuple[int, ...]
 ) -> Vector:
-    """Return the values of a user's function, of one of some shapes."""
+    """Return the values of a user's function, of one of some shapes, as a rule the first."""
     if not len(points):  # a user's function may fail for no points
-        return np.zeros(min(shapes))
+        return np.zeros(shapes[0])
     values = as_array(evaluate(function, points, what), what)
     if values.shape not in shapes:
         raise InputError(
             f"{what} returned shape {values.shape} for points of shape (3, {len(points)}), "
-            f"expected {expected}"
+            f"expected {shapes[0]}"
         )
     return values

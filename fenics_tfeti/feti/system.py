@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -303,6 +303,17 @@ class ContactRows:
             self.gap[rows],
             self.contact[rows],
             np.asarray(self.slaves)[rows],
+        )
+
+    def with_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:
+        """Return the rows with further terms (t,), the last ones of their rows."""
+        order = np.argsort(np.append(self.row, row), kind="stable")
+        number = np.diff(self.offsets) + np.bincount(row, minlength=self.size)
+        return replace(
+            self,
+            offsets=np.append(0, np.cumsum(number)),
+            nodes=np.append(self.nodes, nodes)[order],
+            coefficients=np.concatenate([self.coefficients, coefficients])[order],
         )
 
     @property

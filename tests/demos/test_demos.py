@@ -123,9 +123,10 @@ def test_roller(demo):
 def test_load_steps(demo):
     """The radius by Hertz's formula, the same in unloading as in loading, for as many products."""
     forces, radii = np.array(demo["forces"]), np.array(demo["radii"])
+    assert radii.size == 4
     hertz = np.cbrt(3 * forces * demo["R"] / (4 * demo["E_star"]))
     np.testing.assert_allclose(radii, hertz, rtol=0.015)
-    np.testing.assert_allclose(radii[[4, 5]], radii[[1, 0]], rtol=1e-5)
+    np.testing.assert_allclose(radii[3], radii[1], rtol=1e-5)
     assert max(demo["differences"]) < 1e-5  # of a new problem for each step
     # the start from rigid bodies is as good as the contact of half or twice the load
     assert demo["again"] < 1.25 * demo["scratch"]
@@ -310,14 +311,25 @@ def test_crushed_ring(demo):
     assert demo["error"] < 0.01
 
 
+# the whole way takes 42 load steps with friction
 @pytest.mark.once
+@pytest.mark.parametrize(
+    "demo", [("0.6",), pytest.param((), marks=pytest.mark.heavy)], indirect=True
+)
 def test_snap_fit(demo):
-    """The force changes its sign behind the bump, and is zero in the end."""
+    """The balance of energy; the force changes its sign behind the bump, and ends with zero."""
     H, way = demo["H"], np.array(demo["way"])
     top = demo["start"]
-    assert H[way < top].min() >= -1e-6 * H.max() and H[way > 1.3 * top].max() <= 1e-6 * H.max()
-    assert H[-1] == pytest.approx(0.0, abs=1e-6 * H.max())
-    assert demo["work"] == pytest.approx(demo["friction"], rel=0.05)
+    assert H[way < top].min() >= -1e-6 * H.max() and (H[way > 1.3 * top] <= 1e-6 * H.max()).all()
+    kept = demo["friction"] + demo["left"]
+    if way[-1] < top:
+        # the force grows, and friction is that of the ends of the steps
+        assert demo["work"] < kept < np.sum(H[1:] * np.diff(way))
+        assert 0.0 < demo["friction"] < demo["left"]
+    else:
+        assert H[-1] == pytest.approx(0.0, abs=1e-6 * H.max())
+        assert demo["left"] < 1e-6 * demo["work"]
+        assert demo["work"] == pytest.approx(kept, rel=0.05)
 
 
 @pytest.mark.once

@@ -8,14 +8,9 @@ import numpy as np
 import pytest
 from mesh_arrays import grid, mesh_of
 
-from fenics_tfeti import InputError
-from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point, first_wrong
 
 POINTS = np.array([[1.0, 2.0], [0.0, 3.0], [1.0, -1.0], [0.0, 5.0]])
-
-
-def report(number, place):
-    return f"{number} of them, first {place}"
 
 
 def test_order_is_by_the_first_coordinate_then_by_the_second():
@@ -25,18 +20,17 @@ def test_order_is_by_the_first_coordinate_then_by_the_second():
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
 def test_first_wrong_place_does_not_depend_on_the_order(order):
     points = POINTS[order]
-    with pytest.raises(InputError, match=r"3 of them, first \(0, 5\)"):
-        raise_where(MPI.COMM_SELF, points[:, 1] != 3.0, points, report)
+    assert first_wrong(MPI.COMM_SELF, points[:, 1] != 3.0, points) == (3, "(0, 5)")
 
 
-def test_nothing_wrong_is_no_error():
-    raise_where(MPI.COMM_SELF, np.zeros(4, dtype=bool), POINTS, report)
+def test_nothing_wrong_is_none():
+    assert first_wrong(MPI.COMM_SELF, np.zeros(4, dtype=bool), POINTS) is None
 
 
-def test_no_points_are_no_error():
-    raise_where(MPI.COMM_SELF, np.zeros(0, dtype=bool), np.zeros((0, 3)), report)
+def test_no_points_are_none():
+    assert first_wrong(MPI.COMM_SELF, np.zeros(0, dtype=bool), np.zeros((0, 3))) is None
 
 
 def test_digits_are_those_of_the_size_of_the_mesh():
     domain = mesh_of(MPI.COMM_SELF, "quadrilateral", *grid((2, 2)))
-    assert format_mesh_point(domain, np.array([1e-9, 1.0 / 3.0])) == "(0, 0.333333)"
+    assert first_mesh_point(domain, np.array([[2.0, 0.0], [1e-9, 1.0 / 3.0]])) == "(0, 0.333333)"

@@ -12,6 +12,7 @@ import pytest
 
 from dolfinx.mesh import create_submesh
 
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import MeshComm, NodeMap
 from fenics_tfeti.io import Box, boxes, displacement_space
 
@@ -39,11 +40,13 @@ def test_number_is_the_place_in_the_first_cell():
     assert numbers[left] == 18 * 4 + 2
 
 
-def test_nodes_of_a_submesh_have_their_global_numbers():
+def test_nodes_of_a_submesh_are_numbered_by_its_cells():
     mesh = boxes(MPI.COMM_SELF, BODIES, "quadrilateral").mesh
     part = create_submesh(mesh, 2, np.arange(4, dtype=np.int32))[0]
-    nodes = NodeMap(displacement_space(part))
-    np.testing.assert_array_equal(nodes.input_numbers, np.arange(nodes.owned))
+    space = displacement_space(part)
+    numbers, cells = NodeMap(space).input_numbers, _compat.cell_dofs(space)
+    np.testing.assert_array_equal(numbers[cells[0]], np.arange(4))
+    assert np.unique(numbers).size == numbers.size and numbers.max() < 4 * len(cells)
 
 
 def test_values_at_owners_on_one_process():

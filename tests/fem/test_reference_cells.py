@@ -11,6 +11,7 @@ import pytest
 import basix
 
 from fenics_tfeti.fem import reference_cells
+from fenics_tfeti.fem.contact.mortar.facets import reference_nodes
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
 
 ALL = ("interval", *MESH_CELLS)
@@ -24,13 +25,6 @@ def basix_cell(name):
 
 def vertices_of(name):
     return basix.geometry(basix_cell(name))
-
-
-def volume(name, order):
-    """Return the determinant of the edges from the first vertex to its neighbours."""
-    x = vertices_of(name)[list(order)]
-    axes = list(reference_cell(name).axes)
-    return np.linalg.det(x[axes] - x[0])
 
 
 def test_example_of_the_docstring():
@@ -82,36 +76,21 @@ def test_facets_have_the_vertices_of_their_type(name):
     assert cell.facet.dim == cell.dim - 1
 
 
-@every_cell
-def test_axes_are_edges(name):
-    cell = reference_cell(name)
-    assert sorted(b for a, b in cell.edges if a == 0) == list(cell.axes)
-
-
-@every_cell
-def test_axes_are_right_handed(name):
-    assert volume(name, range(reference_cell(name).vertices)) > 0.0
-
-
-@every_cell
-def test_reflected_cell_is_the_same_cell_with_the_opposite_orientation(name):
-    cell = reference_cell(name)
-    reflected = {tuple(sorted((cell.reflected[a], cell.reflected[b]))) for a, b in cell.edges}
-    assert reflected == set(cell.edges)
-    assert volume(name, cell.reflected) < 0.0
-
-
 @pytest.mark.parametrize("name", ["triangle", "quadrilateral"])
-def test_vertices_of_vtk_go_anticlockwise_around_a_face(name):
-    x = vertices_of(name)[list(reference_cell(name).vtk_order)]
+def test_vertices_go_anticlockwise_around_a_cell(name):
+    x = vertices_of(name)[list(reference_cell(name).cycle)]
     around = np.concatenate([x, x[:1]])
     area = 0.5 * sum(a[0] * b[1] - a[1] * b[0] for a, b in pairwise(around))
     assert area == pytest.approx(0.5 if name == "triangle" else 1.0)
 
 
-def test_hexahedron_of_vtk_has_its_upper_face_above_the_lower():
-    x = vertices_of("hexahedron")[list(reference_cell("hexahedron").vtk_order)]
-    np.testing.assert_array_equal(x[4:] - x[:4], np.tile([0.0, 0.0, 1.0], (4, 1)))
+@pytest.mark.parametrize("name", ["triangle", "quadrilateral"])
+def test_nodes_around_a_cell_are_those_of_a_facet(name):
+    x, cell = points_of_degree_2(name), reference_cell(name)
+    places = reference_nodes(len(x), 2)
+    places = places if cell.is_simplex else 0.5 * (places + 1.0)
+    np.testing.assert_allclose(x[list(cell.around(2))], places, atol=1e-15)
+    assert cell.around(1) == cell.cycle
 
 
 @every_cell
@@ -119,9 +98,10 @@ def test_cut_of_a_block_has_its_volume(name):
     """Cells of equal volumes; for tensor cells the block itself."""
     cell = reference_cell(name)
     corners = (np.arange(2**cell.dim)[:, None] >> np.arange(cell.dim)) & 1
+    axes = sorted(b for a, b in cell.edges if a == 0)
     factorial = {1: 1, 2: 2, 3: 6}[cell.dim] if cell.is_simplex else 1
     volumes = [
-        abs(np.linalg.det((corners[list(piece)][list(cell.axes)] - corners[piece[0]])))
+        abs(np.linalg.det(corners[list(piece)][axes] - corners[piece[0]]))
         for piece in cell.grid_cut
     ]
     assert sum(volumes) / factorial == pytest.approx(1.0)
@@ -140,19 +120,3 @@ def test_simplices_of_a_block_share_the_long_diagonal(name):
 )
 def test_simplices(name, simplex):
     assert reference_cell(name).is_simplex is simplex
-
-
-@mesh_cell
-def test_pieces_of_degree_2_fill_the_cell_and_are_of_its_type(name):
-    cell, x = reference_cell(name), points_of_degree_2(name)
-    assert cell.pieces(1) == (tuple(range(cell.vertices)),)
-    pieces = cell.pieces(2)
-    assert len(pieces) == 2**cell.dim
-    axes = list(cell.axes)
-    volumes = [np.linalg.det(x[list(p)][axes] - x[p[0]]) for p in pieces]
-    whole = volume(name, range(cell.vertices))
-    np.testing.assert_allclose(np.abs(volumes), abs(whole) / 2**cell.dim)
-    assert {node for piece in pieces for node in piece} == set(range(len(x)))
-    if not cell.is_simplex:
-        assert all(np.allclose(x[list(p)] * 2 % 1, 0) for p in pieces)
-        np.testing.assert_allclose(volumes, whole / 2**cell.dim)

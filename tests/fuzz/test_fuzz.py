@@ -50,17 +50,18 @@ def test_problem_that_needs_a_mechanism(seed):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(
-    ("level", "count"),
+    ("level", "first", "count"),
     [
-        pytest.param("feti", 50, marks=pytest.mark.once),
-        ("mesh", 15),
-        pytest.param("feti", 160, marks=pytest.mark.heavy),
-        pytest.param("mesh", 40, marks=pytest.mark.heavy),
+        pytest.param("feti", 0, 50, marks=pytest.mark.once),
+        ("mesh", 7, 8),
+        pytest.param("feti", 0, 160, marks=pytest.mark.heavy),
+        pytest.param("mesh", 0, 40, marks=pytest.mark.heavy),
     ],
 )
-def test_random_problems(level, count, tmp_path):
+def test_random_problems(level, first, count, tmp_path):
     results = tmp_path / "results.jsonl"
-    command = [sys.executable, str(RUN), "-n", str(count), "--level", level, "--jobs", "1"]
+    command = [sys.executable, str(RUN), "-n", str(count), "--first", str(first)]
+    command += ["--level", level, "--jobs", "1"]
     ended = subprocess.run(
         [*command, "--json", str(results)], capture_output=True, text=True, check=False
     )

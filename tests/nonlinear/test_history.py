@@ -128,12 +128,12 @@ def test_confined_compression():
 def test_indentation():
     """The consistent tangent is the derivative of the residual; a dent is left."""
     forces, steps = [], []
-    for with_tangent in [True, False]:
+    for with_tangent in [False, True]:
         block = press(lambda depth: Sphere((0.5, 1.5 - depth), 0.5), with_tangent)
-        for depth in [0.04, 0.08, 0.07]:
+        for depth in [0.08, 0.07]:
             forces.append(block.step(depth))
             steps.append(len(block.problem.report.newton))
-        block.step(0.0)
-        assert 0.03 < np.abs(block.problem.u.x.array).max() < 0.08
-    np.testing.assert_allclose(forces[:3], forces[3:], atol=1e-7)
-    assert steps[:3] == steps[3:]
+    block.step(0.0)
+    assert 0.03 < np.abs(block.problem.u.x.array).max() < 0.08
+    np.testing.assert_allclose(forces[:2], forces[2:], atol=1e-7)
+    assert steps[:2] == steps[2:]

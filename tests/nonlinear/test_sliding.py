@@ -16,14 +16,18 @@ from fenics_tfeti import Coulomb
 heavy = pytest.mark.heavy
 
 
-@pytest.mark.parametrize("slave", [SLIDER, pytest.param(TOP, marks=heavy)])
+def test_pressing():
+    scene = ironing(newton_rtol=1e-8, subdomain_size=400)
+    scene.solve([0.5, 1.0])
+    reaction = scene.problem.report.reactions[1].force
+    np.testing.assert_allclose(reaction, [0.001797, -0.221102], atol=1e-6)
+
+
+@heavy
+@pytest.mark.parametrize("slave", [SLIDER, TOP])
 def test_ironing(slave):
     scene = ironing(slave=slave, newton_rtol=1e-8, subdomain_size=400)
-    scene.solve([0.5, 1.0])
-    if slave == SLIDER:
-        reaction = scene.problem.report.reactions[1].force
-        np.testing.assert_allclose(reaction, [0.001797, -0.221102], atol=1e-6)
-    scene.solve([1.25, 1.5, 1.75, 2.0])
+    scene.solve([0.5, 1.0, 1.25, 1.5, 1.75, 2.0])
     tolerance = 1e-6 if slave == SLIDER else 1e-3
     reaction = scene.problem.report.reactions[1].force
     np.testing.assert_allclose(reaction, [-0.000017, -0.225897], atol=tolerance)
@@ -38,7 +42,7 @@ def test_ironing_with_friction():
     np.testing.assert_allclose(reaction, [0.068950, -0.227359], atol=5e-6)
 
 
-@pytest.mark.parametrize("loads", [[1.0], [0.25, 0.5, 0.75, 1.0]])
+@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
 def test_beam(loads):
     scene = beam(newton_rtol=1e-7, subdomain_size=100)
     scene.solve(loads)
@@ -67,7 +71,7 @@ def elastica(thickness, height=1.0):
     return 0.5 * p * thickness**3 / 12.0 / (1.0 - 0.3**2)
 
 
-@pytest.mark.parametrize("loads", [[1.0], [0.25, 0.5, 0.75, 1.0]])
+@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
 def test_ring_is_an_elastica(loads):
     scene = ring(subdomain_size=100)
     scene.solve(loads)

@@ -16,11 +16,11 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import coordinate_order, format_mesh_point
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
+from fenics_tfeti.fem.reference_cells import ReferenceCell, lagrange_points, shape_gradients
 from fenics_tfeti.fem.tolerances import FLAT_CELL
 from fenics_tfeti.fem.topology import batches, cell_facets, cell_type, cell_vertices
-from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # cells at once: what is computed of them stays in the cache
@@ -29,12 +29,14 @@ _CELLS = 2**12
 
 @dataclass(frozen=True)
 class CellGeometry:
-    """The m cells that this rank owns.
+    """The m cells of a mesh that this rank owns.
 
     Coordinates are by component, with the cells as the last axis: several times faster than
     operations over short last axes.
     """
 
+    domain: Mesh
+    bodies: Bodies
     type: ReferenceCell
     nodes: NDArray[np.int32]  # (m, v) rows of ``geometry.x`` at the vertices
     x: Vector  # (gdim, n) coordinates of the nodes [m]
@@ -44,16 +46,16 @@ class CellGeometry:
     lowest: Vector
     highest: Vector
     volume: Vector
-    body: Numbers
 
     @staticmethod
-    def from_mesh(domain: Mesh, body: Numbers) -> CellGeometry:
-        """Measure the cells of a mesh, given the body of each owned cell."""
+    def of(domain: Mesh, bodies: Bodies) -> CellGeometry:
+        """Measure the cells of a mesh."""
+        body = bodies.of_cell
         type_, nodes = cell_type(domain), cell_vertices(domain)[: body.size]
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        points = _compat.lagrange_points(type_.name, 1)
+        points = lagrange_points(type_.name, 1)
         # in simplices the determinant is constant
         points = np.vstack([points[: 0 if type_.is_simplex else None], points.mean(axis=0)])
         for batch in batches(body.size, _CELLS):
@@ -64,7 +66,14 @@ class CellGeometry:
             values = _determinants(type_, 1, points, corners)
             volume[batch] = values[-1]
             lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
-        return CellGeometry(type_, nodes, x, midpoint, size, lowest, highest, volume, body)
+        return CellGeometry(
+            domain, bodies, type_, nodes, x, midpoint, size, lowest, highest, volume
+        )
+
+    @property
+    def body(self) -> Numbers:
+        """The body of each cell."""
+        return self.bodies.of_cell
 
     def shortest_edges(self, cells: Numbers) -> Vector:
         """Return the length of some cells' shortest edges whose length is not zero."""
@@ -75,11 +84,39 @@ class CellGeometry:
             np.minimum(shortest, length, out=shortest, where=length > FLAT_CELL * size)
         return shortest
 
+    def raise_for(self, wrong: Mask, what: str, remedy: str) -> None:
+        """Raise on all ranks if any has wrong cells, naming the first by its coordinates."""
+        comm = self.domain.comm
+        points = concatenate_ranks(comm, self.midpoint[:, wrong].T)
+        body = concatenate_ranks(comm, self.body[wrong])
+        if not len(points):
+            return
+        where = "around" if len(points) == 1 else "the first around"
+        name = self.bodies.names[body[coordinate_order(points)[0]]]
+        raise InputError(
+            f"the mesh has {what}: {len(points)} of {comm.allreduce(self.body.size)} cells, "
+            f"{where} {first_mesh_point(self.domain, points)} in {name}. {remedy}"
+        )
+
+
+def check_cells(domain: Mesh, bodies: Bodies) -> CellGeometry:
+    """Check that nodes are somewhere and cells are not degenerate. Collective."""
+    with raise_collectively(domain.comm):
+        bad = np.count_nonzero(~np.isfinite(domain.geometry.x).all(axis=1))
+        if bad:
+            raise InputError(
+                f"{bad} of {len(domain.geometry.x)} nodes of the mesh on rank {domain.comm.rank} "
+                "have coordinates that are NaN or infinite"
+            )
+    cells = CellGeometry.of(domain, bodies)
+    _check_shapes(cells)
+    return cells
+
 
 # -- single cells ------------------------------------------------------------------------------
 
 
-def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
+def _check_shapes(cells: CellGeometry) -> None:
     """Check the determinants of the Jacobians, whose sign dolfinx ignores. Collective.
 
     Wrong are cells in which the determinant changes its sign, straight or curved, and cells without
@@ -87,39 +124,31 @@ def check_shapes(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
     """
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
-    _raise_for_cells(
-        domain,
-        bodies,
-        cells,
+    cells.raise_for(
         (cells.lowest < -scale) & (cells.highest > scale),
         "twisted cells, in which the determinant of the Jacobian changes its sign",
         "Check that their vertices are in the order of dolfinx (those of a quadrilateral row by "
         "row, not around it); otherwise mesh there again",
     )
     what = "volume (det J / size^3" if dim == 3 else "area (det J / size^2"
-    _raise_for_cells(
-        domain,
-        bodies,
-        cells,
+    cells.raise_for(
         np.abs(cells.volume) <= scale,
         f"cells without {what} is below {FLAT_CELL:g})",
         "Mesh there again, or remove these cells",
     )
-    if _compat.geometry_degree(domain) == 2:
-        lowest, highest = _range_in_curved_cells(domain, cells)
-        _raise_for_cells(
-            domain,
-            bodies,
-            cells,
+    if _compat.geometry_degree(cells.domain) == 2:
+        lowest, highest = _range_in_curved_cells(cells)
+        cells.raise_for(
             (lowest < scale) & (highest > -scale),
             "curved cells that are folded: the determinant of the Jacobian changes its sign",
             "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')",
         )
 
 
-def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, Vector]:
+def _range_in_curved_cells(cells: CellGeometry) -> tuple[Vector, Vector]:
     """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
-    nodes, points = _compat.geometry_cells(domain), _compat.lagrange_points(cells.type.name, 2)
+    nodes = _compat.geometry_cells(cells.domain)
+    points = lagrange_points(cells.type.name, 2)
     lowest, highest = np.empty((2, cells.body.size))
     for batch in batches(cells.body.size, _CELLS):
         values = _determinants(cells.type, 2, points, cells.x[:, nodes[batch].T])
@@ -129,7 +158,7 @@ def _range_in_curved_cells(domain: Mesh, cells: CellGeometry) -> tuple[Vector, V
 
 def _determinants(cell: ReferenceCell, degree: int, points: Vector, x: Vector) -> Vector:
     """Return det J (p, k) at points (p, dim) of cells with nodes (gdim, n, k) of degree 1 or 2."""
-    return _determinant([D @ x for D in _compat.shape_gradients(cell.name, degree, points)])
+    return _determinant([D @ x for D in shape_gradients(cell.name, degree, points)])
 
 
 def _determinant(columns: Sequence[Vector]) -> Vector:
@@ -146,43 +175,23 @@ def _determinant(columns: Sequence[Vector]) -> Vector:
     return volume
 
 
-def _raise_for_cells(
-    domain: Mesh, bodies: Bodies, cells: CellGeometry, wrong: Mask, what: str, remedy: str
-) -> None:
-    """Raise on all ranks if any has wrong cells, naming the first by its coordinates."""
-    points = concatenate_ranks(domain.comm, cells.midpoint[:, wrong].T)
-    body = concatenate_ranks(domain.comm, cells.body[wrong])
-    if not len(points):
-        return
-    first = coordinate_order(points)[0]
-    total = domain.comm.allreduce(cells.body.size)
-    where = "around" if len(points) == 1 else "the first around"
-    raise InputError(
-        f"the mesh has {what}: {len(points)} of {total} cells, {where} "
-        f"{format_mesh_point(domain, points[first])} in {bodies.names[body[first]]}. {remedy}"
-    )
-
-
 # -- neighbours --------------------------------------------------------------------------------
 
 
-def check_overlaps(domain: Mesh, bodies: Bodies, cells: CellGeometry) -> None:
+def check_overlaps(cells: CellGeometry) -> None:
     """Check that the two cells of a facet are on different sides of it. Collective.
 
     They are on the same side where a cell is turned inside out, for instance.
     """
-    facets, above = cell_facets(domain)[: cells.body.size], _above(cells)
+    facets, above = cell_facets(cells.domain)[: cells.body.size], _above(cells)
     number = int(facets.max(initial=-1)) + 1
     crowded = np.zeros(number, dtype=bool)
     for side in (above, ~above):
         crowded |= np.bincount(facets[side], minlength=number) > 1
     folded = np.count_nonzero(crowded[facets], axis=1)
     # a cell turned inside out has several such facets, each of its neighbours one
-    largest = domain.comm.allreduce(int(folded.max(initial=0)), MPI.MAX)
-    _raise_for_cells(
-        domain,
-        bodies,
-        cells,
+    largest = cells.domain.comm.allreduce(int(folded.max(initial=0)), MPI.MAX)
+    cells.raise_for(
         (folded > 0) & (folded == largest),
         "cells that overlap their neighbours, on the same side of a common facet",
         "A vertex was moved through the opposite side: mesh there again",

@@ -17,7 +17,7 @@ from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
+from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature, shape_gradients
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -56,7 +56,7 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
         if domain.comm.rank == 0:
             warn_user(
                 f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
-                f"{ratio:.4g}: the result is much too stiff. {remedy}",
+                f"{ratio:.4g}: the result is much too stiff. {remedy}"
             )
 
 
@@ -64,8 +64,8 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
     """Return some cells of each body and tag, and those where coefficients are extreme."""
     groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
     form = forms.bilinear
-    if form.cell_tag is not None:
-        groups += [np.flatnonzero(form.cell_tag == tag) for tag in form.cell_ids]
+    if "cell" in form.tags:
+        groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in form.ids["cell"]]
     selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
         if values.dtype.kind == "f" and len(values):
@@ -119,7 +119,7 @@ def _resisted(type_: ReferenceCell, x: Vector, K: Vector, mu: float, lmbda: floa
     for mode, (a, b) in zip(modes, pairs, strict=True):
         mode[:, a] = x[:, a] * x[:, b]
     points, weights = quadrature(type_.name, 3)
-    derivatives = np.moveaxis(_compat.shape_gradients(type_.name, 1, points), 0, 2)
+    derivatives = np.moveaxis(shape_gradients(type_.name, 1, points), 0, 2)
     jacobian = x.T @ derivatives
     weights = weights * np.abs(np.linalg.det(jacobian))
     slopes = np.einsum("mva,qvb->qmab", modes, derivatives @ np.linalg.inv(jacobian))

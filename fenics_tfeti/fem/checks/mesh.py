@@ -7,24 +7,100 @@ gathered, so that all ranks raise the same error with the totals and the same fi
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.checks.bodies import (
-    check_cracks,
-    check_joints,
-    check_pieces,
-    check_split_nodes,
-    surface_nodes,
-)
-from fenics_tfeti.fem.checks.cells import CellGeometry, check_overlaps, check_shapes
-from fenics_tfeti.fem.contact.description import Contact
-from fenics_tfeti.fem.contact.ties.description import Tie
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.checks.cells import CellGeometry, check_cells, check_overlaps
+from fenics_tfeti.fem.contact.description import BoltPreload, Contact, ContactPair, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
+from fenics_tfeti.fem.tolerances import SAME_PLACE
+from fenics_tfeti.fem.topology import exterior_cell_facets, global_numbers
+from fenics_tfeti.parallel import Directory, concatenate_ranks
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class _SurfaceNodes:
+    """Nodes (k,) on the surface of bodies; a node that several bodies share has a row for each."""
+
+    number: Numbers  # global, in the input of the mesh
+    x: Vector  # (k, gdim) [m]
+    body: Numbers
+    size: Vector  # shortest edge of the body's cells at the node, of those longer than zero [m]
+    slave: Mask  # on a slave surface of a contact pair
+    master: Mask  # on a master surface of a contact pair
+    vertex: Numbers  # global number in the distributed mesh
+
+    def __getitem__(self, rows: Any) -> _SurfaceNodes:
+        """Return some of the rows."""
+        return _SurfaceNodes(*(column[rows] for column in vars(self).values()))
+
+    def merged(self) -> _SurfaceNodes:
+        """Return one row for each pair of node and body."""
+        order = np.lexsort((self.number, self.body))
+        body, number = self.body[order], self.number[order]
+        starts = np.ones(order.size, dtype=bool)
+        starts[1:] = (np.diff(body) != 0) | (np.diff(number) != 0)
+        (begin,) = np.nonzero(starts)
+        if begin.size == 0:
+            return self
+        return replace(
+            self[order[begin]],
+            size=np.minimum.reduceat(self.size[order], begin),
+            slave=np.logical_or.reduceat(self.slave[order], begin),
+            master=np.logical_or.reduceat(self.master[order], begin),
+        )
+
+
+def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _SurfaceNodes:
+    """Return the nodes of the exterior facets of this rank's cells; pairs and bolts mark them."""
+    domain = cells.domain
+    cell, facet = np.nonzero(exterior_cell_facets(domain))
+    nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
+    per_facet = nodes.shape[1]
+    local = nodes.ravel()
+    slave, master = _contact_nodes(domain, contacts)
+    # dolfinx 0.5 numbers a node anew on ranks whose cells meet there without a common facet;
+    # the numbers in the input of the mesh are unique
+    numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
+    return _SurfaceNodes(
+        numbers[local],
+        domain.geometry.x[local, : domain.geometry.dim],
+        np.repeat(cells.body[cell], per_facet),
+        np.repeat(cells.shortest_edges(cell), per_facet),
+        slave[local],
+        master[local],
+        global_numbers(domain.geometry.index_map(), local),
+    ).merged()
+
+
+def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mask, Mask]:
+    """Mark the nodes on slave and on master surfaces of pairs and bolts; tags are checked later."""
+    marks = np.zeros((2, len(domain.geometry.x)), dtype=bool)
+    dim = domain.topology.dim - 1
+    for contact in contacts:
+        if not isinstance(contact, ContactPair | BoltPreload):
+            continue
+        tags = contact.facet_tags
+        if _compat.tags_are_on(tags, domain) and tags.dim == dim:
+            for mark, tag in zip(marks, (contact.slave, contact.master), strict=True):
+                mark[_compat.entity_nodes(domain, dim, tags.find(tag))] = True
+    return marks[0], marks[1]
+
+
+# -- checks ------------------------------------------------------------------------------------
 
 
 def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact | Tie]) -> None:
@@ -34,27 +110,175 @@ def check_mesh(domain: Mesh, bodies: Bodies, contacts: Sequence[Contact | Tie]) 
     sides of a cut.
     """
     cells = check_cells(domain, bodies)
-    check_overlaps(domain, bodies, cells)
-    surface = surface_nodes(domain, cells, contacts)
-    check_pieces(domain, bodies, cells, surface)
-    check_joints(domain, bodies, surface)
-    check_split_nodes(domain, surface)
-    check_cracks(domain, bodies, surface)
+    check_overlaps(cells)
+    surface = _surface_nodes(cells, contacts)
+    _check_pieces(cells, surface)
+    _check_joints(domain, bodies, surface)
+    _check_split_nodes(domain, surface)
+    _check_cracks(domain, bodies, surface)
 
 
-def check_cells(domain: Mesh, bodies: Bodies) -> CellGeometry:
-    """Check that nodes are somewhere and cells are not degenerate. Collective."""
-    with raise_collectively(domain.comm):
-        _check_finite(domain)
-    cells = CellGeometry.from_mesh(domain, bodies.of_cell)
-    check_shapes(domain, bodies, cells)
-    return cells
+def _check_pieces(cells: CellGeometry, surface: _SurfaceNodes) -> None:
+    """Check that each cell tag, where given, is on one connected body. Collective."""
+    domain, bodies = cells.domain, cells.bodies
+    if bodies.tags is None:
+        return
+    tags, counts = np.unique(bodies.tags, return_counts=True)
+    if np.all(counts == 1):
+        return
+    tag = tags[np.argmax(counts > 1)]
+    (pieces,) = np.nonzero(bodies.tags == tag)
+    in_pieces = np.isin(cells.body, pieces)
+    columns = cells.midpoint.T[in_pieces], cells.body[in_pieces]
+    midpoints, numbers = (concatenate_ranks(domain.comm, column) for column in columns)
+    first, second = (first_mesh_point(domain, midpoints[numbers == piece]) for piece in pieces[:2])
+    nodes = surface[np.isin(surface.body, pieces)]
+    shared = _shared_nodes(domain, nodes, nodes.body)
+    coincident = _coincident_pairs(domain, nodes, np.zeros(nodes.body.size))[0]
+    hint = ""
+    if len(shared):
+        hint = f"They share {_count(domain, shared, 'node')}, but no facet. "
+    elif len(coincident):
+        pairs = _count(domain, coincident, "pair")
+        hint = f"They have {pairs}: were nodes that should be one not merged? "
+    raise InputError(
+        f"the cells with tag {tag} in cell_tags are in {len(pieces)} pieces, one with a cell "
+        f"around {first}, another with one around {second}. {hint}A cell tag stands for one body, "
+        "connected through facets: connect the pieces, give each a tag of its own, or leave "
+        "cell_tags out, then the bodies are the connected parts of the mesh"
+    )
 
 
-def _check_finite(domain: Mesh) -> None:
-    bad = np.count_nonzero(~np.isfinite(domain.geometry.x).all(axis=1))
-    if bad:
+def _check_joints(domain: Mesh, bodies: Bodies, surface: _SurfaceNodes) -> None:
+    """Check that parts of the mesh without a common facet have no common node. Collective."""
+    part = bodies.part[surface.body]
+    shared = _shared_nodes(domain, surface, part)
+    if not len(shared):
+        return
+    first = shared[coordinate_order(shared)[0]]
+    at_first = np.all(surface.x == first, axis=1)
+    names = [
+        bodies.names[b] for b in np.unique(concatenate_ranks(domain.comm, surface.body[at_first]))
+    ]
+    raise InputError(
+        f"bodies are joined through {_count(domain, shared, 'node')}, but through no facet: "
+        f"{' and '.join(names)}. An edge or a point cannot hold an elastic body: give each body "
+        "nodes of its own (and say by a ContactPair what may touch), or connect them through facets"
+    )
+
+
+def _check_split_nodes(domain: Mesh, surface: _SurfaceNodes) -> None:
+    """Check that dolfinx has not split a node where a body is pinched. Collective."""
+    split = _shared_nodes(domain, surface, surface.vertex)
+    if len(split):
         raise InputError(
-            f"{bad} of {len(domain.geometry.x)} nodes of the mesh on rank {domain.comm.rank} have "
-            "coordinates that are NaN or infinite"
+            f"on {domain.comm.size} processes, this version of dolfinx makes several nodes of "
+            f"{_count(domain, split, 'node')}, where cells of different processes meet in an edge "
+            "or a point only: the body would come apart there. Run on one process or with a newer "
+            "dolfinx, or mesh the body so that cells meet in facets"
         )
+
+
+def _check_cracks(domain: Mesh, bodies: Bodies, surface: _SurfaceNodes) -> None:
+    """Check that no body has two nodes at one place, except on the faces of a pair. Collective."""
+    points, body = _coincident_pairs(domain, surface, surface.body)
+    if not len(points):
+        return
+    raise InputError(
+        f"{bodies.names[body[coordinate_order(points)[0]]]} has "
+        f"{_count(domain, points, 'pair')}: the cells there are not connected, as in a crack. "
+        "Merge these nodes (in Gmsh by removeDuplicateNodes, for this body alone); if a crack is "
+        "meant, make its two faces a ContactPair, without the facets at its tip"
+    )
+
+
+def _count(domain: Mesh, points: Vector, what: str) -> str:
+    """Return for instance "3 nodes (the first at (1, 0.5))"; collective."""
+    pair = " of nodes at the same place" if what == "pair" else ""
+    plural, first = ("", "") if len(points) == 1 else ("s", "the first ")
+    place = first_mesh_point(domain, points)
+    return f"{len(points)} {what}{plural}{pair} ({first}at {place})"
+
+
+# -- nodes -------------------------------------------------------------------------------------
+
+
+def _shared_nodes(domain: Mesh, nodes: _SurfaceNodes, group: Numbers) -> Vector:
+    """Return the coordinates (n, gdim) of nodes that are in several groups, on all ranks."""
+    keys, x, group = Directory(domain.comm, np.unique(nodes.number)).collect(
+        nodes.number, nodes.x, group
+    )
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    differs = np.zeros(first.size, dtype=bool)
+    differs[inverse[group != group[first][inverse]]] = True
+    return concatenate_ranks(domain.comm, x[first[differs]])
+
+
+def _coincident_pairs(
+    domain: Mesh, nodes: _SurfaceNodes, group: NDArray[Any]
+) -> tuple[Vector, Numbers]:
+    """Find pairs of nodes of a group at the same place, except a slave and a master node.
+
+    Return the place (n, gdim) and the body (n,) of each pair, on all ranks. Nodes of different
+    groups may coincide.
+    """
+    comm, gdim = domain.comm, domain.geometry.dim
+    reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
+    keys, rows = _bins(comm, nodes.x, reach)
+    data = (*vars(nodes).values(), group)
+    *columns, group = Directory(comm, np.unique(keys)).collect(keys, *(d[rows] for d in data))[1:]
+    candidates = _SurfaceNodes(*columns)
+    pairs = np.zeros((0, 2), dtype=np.int64)
+    if group.size:
+        # one more coordinate keeps the groups apart
+        point = np.column_stack([candidates.x, 4.0 * reach * group])
+        pairs = cKDTree(point).query_pairs(reach, output_type="ndarray")
+    a, b = candidates[pairs[:, 0]], candidates[pairs[:, 1]]
+    distance = np.linalg.norm(a.x - b.x, axis=1)
+    wrong = (a.number != b.number) & (distance <= SAME_PLACE * np.minimum(a.size, b.size))
+    slave, master = (
+        _marked_anywhere(candidates, candidates.slave),
+        _marked_anywhere(candidates, candidates.master),
+    )
+    first, second = pairs.T
+    wrong &= ~((slave[first] & master[second]) | (master[first] & slave[second]))
+    numbers = np.sort(np.stack([a.number, b.number], axis=1)[wrong], axis=1)
+    gathered = [concatenate_ranks(comm, column) for column in (numbers, a.x[wrong], a.body[wrong])]
+    # a pair near the border of bins is found in each of them
+    distinct = np.unique(gathered[0], axis=0, return_index=True)[1]
+    return gathered[1][distinct].reshape(-1, gdim), gathered[2][distinct]
+
+
+def _marked_anywhere(nodes: _SurfaceNodes, mark: Mask) -> Mask:
+    """Tell which nodes are marked in any of their rows: no rank has all facets at a node."""
+    numbers, position = np.unique(nodes.number, return_inverse=True)
+    marked = np.zeros(numbers.size, dtype=bool)
+    np.logical_or.at(marked, position, mark)
+    return marked[position]
+
+
+def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
+    """Sort points into cubic bins, by which they are distributed over the ranks.
+
+    Return the key of a bin and the row of a point, for each bin that the point is in or within
+    `reach` of; some twice.
+    """
+    bins_along_mesh = 64
+    number_of_keys = 2**20
+    low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
+    comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
+    comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
+    width = max(float(np.max(high - low)) / bins_along_mesh, 4.0 * reach, np.finfo(float).tiny)
+    # a hash with large primes spreads the keys evenly, for any shape of the mesh
+    primes = np.array([73856093, 19349663, 83492791])[: x.shape[1]]
+    ends = [
+        np.floor((x + step - low) / width).astype(np.int64) * primes for step in (-reach, reach)
+    ]
+    # of the corners of a cube around each point; nearly all cubes are in one bin
+    first, *others = (
+        sum(ends[end][:, axis] for axis, end in enumerate(ends_of_corner)) % number_of_keys
+        for ends_of_corner in product((0, 1), repeat=x.shape[1])
+    )
+    rows = [np.arange(len(x)), *(np.flatnonzero(corner != first) for corner in others)]
+    corners = zip((first, *others), rows, strict=True)
+    return np.concatenate([corner[row] for corner, row in corners]), np.concatenate(rows)

@@ -2,29 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, warn_user
-from fenics_tfeti.fem.checks.mesh import check_cells
+from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import Cells, nearest_layers, overlapping_cells
+from fenics_tfeti.fem.contact.mortar.cells import (
+    Cells,
+    MasterTree,
+    nearest_layers,
+    overlapping_cells,
+)
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
-from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes, gather_boxes
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, edge_lengths
+from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.topology import batches
+from fenics_tfeti.fem.topology import batches, cell_facets, exterior_cell_facets
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.parallel import (
     Directory,
@@ -33,7 +40,7 @@ from fenics_tfeti.parallel import (
     first_of_rank,
     raise_collectively,
 )
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 
 def find_contacts(
@@ -104,7 +111,7 @@ def find_contacts(
         if not surfaces and comm.rank == 0:
             warn_user(
                 f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
-                "no contact between them. Where there are gaps, pass a larger distance",
+                "no contact between them. Where there are gaps, pass a larger distance"
             )
     contacts = []
     for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
@@ -138,8 +145,8 @@ def _opposite_facets(
     v, gdim = x.shape[1:]
     reach = facets.sizes() if distance is None else np.full(n, float(distance))
     around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
-    needed = gather_boxes(comm, BoxTree(around) if n else None, gdim)
-    chosen = facets_in_boxes(comm, needed, BoxTree(x) if n else None)
+    needed = comm.allgather(BoxTree(around).boxes())
+    chosen = facets_in_boxes(comm, needed, BoxTree(x))
     number = first_of_rank(comm, n)[0] + np.arange(n)
     columns = (number, facets.body, facets.vertices, x)
     received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
@@ -179,7 +186,7 @@ def _is_near(
     for number in np.unique(master):
         of_body = master == number
         nodes = others.facets.nodes[body == number]
-        surface = replace(others, facets=Facets(others.points, nodes)).faceted()
+        surface = FacetedSurface.of(Facets(others.points, nodes))
         near[behind[of_body]] = surface.distance(points[of_body]).signed < 0.0
     return near
 
@@ -195,7 +202,7 @@ def _without_glued(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Nu
             warn_user(
                 f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
                 f"contact, because they are connected through facets: the first {names}. Where "
-                "they may touch, tag their surfaces and add a ContactPair",
+                "they may touch, tag their surfaces and add a ContactPair"
             )
     apart: Numbers = opposite[~glued]
     return apart
@@ -327,3 +334,74 @@ def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
     order = np.argsort(number, kind="stable")
     cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
     return np.split(rows[order, -1], cuts) if len(pairs) else []
+
+
+@dataclass(frozen=True)
+class ExteriorFacets:
+    """The facets (f,) on the boundary of the mesh that this rank owns, with straight edges."""
+
+    number: Indices  # local numbers of the facets
+    body: Numbers
+    vertices: Numbers  # (f, v): numbers in the input of the mesh, oriented outwards as in `Facets`
+    corners: Vector  # (f, v, gdim) [m]
+
+    @staticmethod
+    def of(domain: Mesh, bodies: Bodies) -> ExteriorFacets:
+        """Find the facets of this rank's cells that have no neighbour."""
+        cell, facet = np.nonzero(exterior_cell_facets(domain))
+        nodes = oriented_corners(domain, cell, facet)
+        # the numbers in the input are those of all ranks, see `_surface_nodes`
+        input_numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
+        return ExteriorFacets(
+            cell_facets(domain)[cell, facet],
+            bodies.of_cell[cell],
+            input_numbers[nodes],
+            domain.geometry.x[nodes, : domain.geometry.dim],
+        )
+
+    def sizes(self) -> Vector:
+        """Return the length of the shortest edge of each facet (f,) [m]."""
+        sizes: Vector = edge_lengths(self.corners).min(axis=1)
+        return sizes
+
+    def faces(self, comm: MPI.Intracomm) -> Numbers:
+        """Return the number, over all ranks, of the smooth face that each facet is in. Collective.
+
+        A face ends where normals of neighbours turn by more than 60 degrees.
+        """
+        v, gdim = self.corners.shape[1:]
+        ends = self.vertices[..., None]
+        if gdim == 3:
+            ends = np.sort(np.stack([self.vertices, np.roll(self.vertices, -1, axis=1)], 2), axis=2)
+        edges = ends.reshape(self.number.size * v, gdim - 1)
+        facet = np.repeat(np.arange(self.number.size), v)
+        keys = np.column_stack([self.body[facet], edges])
+        normal = Planes.of(self.corners).normal[facet]
+        part = _components(_smooth_pairs(keys, normal, facet), self.number.size)
+        # parts of faces on this rank, numbered over all ranks, then joined through their edges
+        first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
+        directory = Directory(comm, np.unique(edges[:, 0]))
+        _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
+        joined = np.unique(_smooth_pairs(*columns), axis=0)
+        face: Numbers = _components(concatenate_ranks(comm, joined), total)[first + part]
+        return face
+
+
+def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
+    """Return the pairs (p, 2) of different labels of facets that meet smoothly at an edge (n, k).
+
+    The normals are those of the facets, not of the edges.
+    """
+    least_cosine = 0.5
+    order = np.lexsort(keys.T)
+    keys, normal, label = keys[order], normal[order], label[order]
+    smooth = np.sum(normal[1:] * normal[:-1], axis=1) > least_cosine
+    meet = (keys[1:] == keys[:-1]).all(axis=1) & smooth & (label[1:] != label[:-1])
+    return np.column_stack([label[:-1][meet], label[1:][meet]])
+
+
+def _components(pairs: Numbers, size: int) -> Numbers:
+    """Return the connected component of each of `size` labels."""
+    graph = sp.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
+    number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
+    return number

@@ -70,6 +70,17 @@ class Terms:
         means: Vector = self._sums(self.weights[:, None] * values) / self.scale[:, None]
         return means
 
+    def rows(self, normal: Vector, gap: Vector, contact: int) -> ContactRows:
+        """Return conditions along normals (k, gdim), with gaps (k,) of mean displacements [m]."""
+        return ContactRows(
+            self.offsets,
+            self.nodes,
+            self.weights[:, None] * normal[self.row],
+            gap * self.scale,
+            np.full(self.slaves.size, contact),
+            self.slaves,
+        )
+
     def _sums(self, values: Vector) -> Vector:
         sums = np.zeros((self.slaves.size, values.shape[1]))
         np.add.at(sums, self.row, values)
@@ -77,8 +88,8 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """Conditions sum_k w_k u(node_k)'n <= gap times the scale; of ties equalities.
+class ContactPairing:
+    """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
     area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
@@ -90,41 +101,6 @@ class Conditions:
     normal: Vector  # outward unit normals of the slave (k, gdim)
     gap: Vector  # (k,) [m]; infinite where there is no obstacle
     area: Vector  # (k,) [m^2 or m]
-
-    @property
-    def slave(self) -> Numbers:
-        """Global nodes of the displacement's space, which this rank owns (k,)."""
-        return self.terms.slave
-
-    @property
-    def master(self) -> Numbers:
-        """Partners, or the masters with the largest weights; -1 for an obstacle (k,)."""
-        return self.terms.master
-
-    def rows(self, number: int) -> ContactRows:
-        """Return them as those of the contact with a number."""
-        terms = self.terms
-        return ContactRows(
-            terms.offsets,
-            terms.nodes,
-            terms.weights[:, None] * self.normal[terms.row],
-            self.gap * terms.scale,
-            np.full(terms.slaves.size, number),
-            terms.slaves,
-        )
-
-    def relative(self, nodes: NodeMap, values: Vector) -> Vector:
-        """Return mean values (k, q) of the slave less those of the master. Collective.
-
-        The values (n, q) are at this rank's nodes, such as displacements or places [m].
-        """
-        return self.terms.means(nodes.values_at(values, self.terms.nodes))
-
-
-@dataclass(frozen=True)
-class ContactPairing(Conditions):
-    """The conditions of a contact at the slave nodes that this rank owns."""
-
     name: str
     summary: dict[str, Any]  # the contact's entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
@@ -139,6 +115,16 @@ class ContactPairing(Conditions):
         """Whether the conditions are mortar conditions of two surfaces."""
         return self.prescribed is not None
 
+    @property
+    def slave(self) -> Numbers:
+        """Global nodes of the displacement's space, which this rank owns (k,)."""
+        return self.terms.slave
+
+    @property
+    def master(self) -> Numbers:
+        """Partners, or the masters with the largest weights; -1 for an obstacle (k,)."""
+        return self.terms.master
+
     @cached_property
     def on_surface(self) -> Numbers:
         """The positions of the slave's nodes among those of the surface, (k,)."""
@@ -148,6 +134,17 @@ class ContactPairing(Conditions):
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
+
+    def rows(self, number: int) -> ContactRows:
+        """Return the conditions as those of the contact with a number."""
+        return self.terms.rows(self.normal, self.gap, number)
+
+    def relative(self, nodes: NodeMap, values: Vector) -> Vector:
+        """Return mean values (k, q) of the slave less those of the master. Collective.
+
+        The values (n, q) are at this rank's nodes, such as displacements or places [m].
+        """
+        return self.terms.means(nodes.values_at(values, self.terms.nodes))
 
 
 @dataclass(frozen=True)
@@ -181,24 +178,8 @@ class SlaveValues:
 
 def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
     """Return the contact conditions of all contacts, one contact after the other."""
-    if not pairings:
-        return ContactRows.none(gdim)
-    return ContactRows.concatenate([p.rows(number) for number, p in enumerate(pairings)])
-
-
-def openings(
-    nodes: NodeMap, pairings: Sequence[ContactPairing], displacement: Vector
-) -> list[Vector]:
-    """Return the openings (k,) of each contact's conditions, in order [m]. Collective.
-
-    An opening is the gap less the approach of the surfaces along the slave's normal; infinite where
-    there is no obstacle. The displacement (n,) is at the degrees of freedom that this rank owns
-    [m].
-    """
-    rows = contact_rows(pairings, nodes.components)
-    opening = (rows.gap - row_values(nodes, rows, displacement)) / rows.length
-    ends = np.cumsum([pairing.slave.size for pairing in pairings])
-    return np.split(opening, ends[:-1]) if len(pairings) else []
+    rows = [pairing.rows(number) for number, pairing in enumerate(pairings)]
+    return ContactRows.concatenate([ContactRows.none(gdim), *rows])
 
 
 def row_values(

@@ -4,30 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
+from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.checks import check_depth
-from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, openings
+from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, row_values
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle, TiedPair
-from fenics_tfeti.fem.contact.matching import match_contacts
+from fenics_tfeti.fem.contact.description import Contact, RigidObstacle, Tie
 from fenics_tfeti.fem.contact.obstacles.rigid_body import (
     BodyFrame,
-    BodyPlace,
     RigidBodies,
     RigidBody,
     RigidBodyResult,
-    find_frames,
 )
-from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
 from fenics_tfeti.fem.contact.result import (
     BoltResult,
     ContactEntry,
@@ -36,42 +28,16 @@ from fenics_tfeti.fem.contact.result import (
     TiedResult,
 )
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
-from fenics_tfeti.fem.contact.roles import (
-    Roles,
-    describe_roles,
-    exchanged,
-    nodal_stiffness,
-    one_sided_data,
-    prefers_exchange,
-    roles_ratio,
-    warn_of_roles,
-)
-from fenics_tfeti.fem.contact.slip import (
-    NodalFriction,
-    SlipOrigin,
-    friction_result,
-    friction_rows,
-    nodal_friction,
-)
+from fenics_tfeti.fem.contact.roles import Roles
+from fenics_tfeti.fem.contact.slip import NodalFriction, SlipOrigin, friction_rows, nodal_friction
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.ties.description import (
-    BoltPreload,
-    LinearRows,
-    PeriodicPair,
-    Tie,
-    tie_name,
-)
-from fenics_tfeti.fem.contact.ties.matched import linear_rows, periodic_rows, preload_rows
-from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing, tie_surfaces
+from fenics_tfeti.fem.contact.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
-from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
-from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -123,22 +89,13 @@ class FoundContact:
         gap = self.pairing.gap
         return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
 
-    def measured(self, uh: Function, place: BodyPlace | None) -> DeformedContact:
-        """Measure normals, gaps and penetration in the deformed state. Collective.
-
-        The place is that of the contact's body, if it has one.
-        """
+    def measured(self, uh: Function, bodies: RigidBodies) -> DeformedContact:
+        """Measure normals, gaps and penetration in the deformed state. Collective."""
         contact = self.contact
-        if place is None:
-            return deformed_contact(contact, self.pairing, uh)
-        assert isinstance(contact, RigidObstacle) and contact.body is not None
-        moved = replace(contact, obstacle=place.obstacle(contact.body, contact.obstacle))
-        return deformed_contact(moved, self.pairing, uh)
-
-    def with_friction(self, space: FunctionSpace, prescribed: Prescribed) -> FoundContact:
-        """Return the contact with friction evaluated at its conditions. Collective."""
-        friction = nodal_friction(space, self.contact, self.pairing, prescribed)
-        return replace(self, friction=friction)
+        if isinstance(contact, RigidObstacle) and contact.body is not None:
+            frame = bodies.frame_of(contact.body)
+            contact = replace(contact, obstacle=frame.obstacle(contact.obstacle))
+        return deformed_contact(contact, self.pairing, uh)
 
 
 @dataclass(frozen=True)
@@ -170,11 +127,6 @@ class ContactSet:
         return [found.pairing for found in self.contacts]
 
     @property
-    def friction(self) -> list[NodalFriction | None]:
-        """Friction at the conditions of each contact."""
-        return [found.friction for found in self.contacts]
-
-    @property
     def names(self) -> list[str]:
         """Names of all contacts and tied pairs, by number."""
         entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
@@ -184,9 +136,9 @@ class ContactSet:
         """Return the conditions of all contacts, one contact after the other. Collective."""
         parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
         for found in self.contacts:
-            rows, k = found.pairing.rows(found.number), self.bodies.number(found.body)
-            if k is not None and found.on_body is not None:
-                rows = self.bodies.frames[k].joined(rows, found.on_body.places)
+            rows = found.pairing.rows(found.number)
+            if found.on_body is not None:
+                rows = self.bodies.frame_of(found.body).joined(rows, found.on_body.places)
             parts.append(rows)
         return self.rigid.joined(ContactRows.concatenate(parts), self.bodies)
 
@@ -201,43 +153,45 @@ class ContactSet:
         return self.rigid.joined(ContactRows.concatenate(rows), self.bodies)
 
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
-        """Return where `rows` have friction, and from where slip is counted. Collective.
-
-        Unknowns are displacements from a start (n,), by default the undeformed state.
-        """
-        rows = contact_rows(self.pairings, self.boundary.space.mesh.geometry.dim)
-        friction = list(self.friction)
-        for k, (found, nodal) in enumerate(zip(self.contacts, self.friction, strict=True)):
-            if found.on_body is not None and nodal is not None:
-                moved = self._slip_of_body(found, found.on_body, origin, k)
-                friction[k] = replace(nodal, obstacle_displacement=moved)
+        """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
+        nodes, first, sites = self.boundary.nodes, 0, []
+        for k, found in enumerate(self.contacts):
+            numbers = first + np.arange(found.pairing.slave.size)
+            first += numbers.size
+            if found.friction is not None:
+                moved = self._obstacle_motion(found, found.friction, origin, k)
+                sites.append((numbers, found.friction, moved))
         displacement = origin.displacement - (0.0 if start is None else start)
         displacement = self.rigid.relative_to_unknowns(displacement, self.bodies, self.from_here)
-        origin = replace(origin, displacement=displacement)
-        return friction_rows(self.boundary.nodes, rows, self.pairings, friction, origin)
+        rows = contact_rows(self.pairings, nodes.components)
+        return friction_rows(nodes, rows, sites, displacement)
 
-    def _slip_of_body(self, found: FoundContact, on: OnBody, origin: SlipOrigin, k: int) -> Vector:
-        """Return the displacement (k, gdim) of a body that slip is relative to. Collective.
+    def _obstacle_motion(
+        self, found: FoundContact, friction: NodalFriction, origin: SlipOrigin, k: int
+    ) -> Vector:
+        """Return what an obstacle has moved (k, gdim) since the origin of slip. Collective.
 
-        It is what is not among the unknowns, with all but the present rotation of the slip: the
-        slave's nodes have slid from one place of the body to another.
+        Of a body it is what is not among the unknowns, with all but the present rotation of the
+        slip: the slave's nodes have slid from one place of the body to another.
         """
-        number, nodes, pairing = self.bodies.number(found.body), self.boundary.nodes, found.pairing
-        assert number is not None
-        frame, place = self.bodies.frames[number], self.bodies.places[number]
-        u = origin.displacement.reshape(-1, nodes.components)
-        start = pairing.relative(nodes, nodes.coordinates + u)
+        nodes, pairing, on = self.boundary.nodes, found.pairing, found.on_body
         earlier = origin.obstacles.at(k, self.dofs(pairing.slave))
-        now = place.undeformed_places(frame.body, on.slave)
-        slid = place.turn(now - (start - earlier))
-        ahead = frame.displacements(self.bodies.ahead(number, self.from_here), on.places)
-        moved: Vector = earlier + on.slave - start + ahead - slid
+        if on is None:
+            return friction.obstacle_displacement - earlier
+        frame, u = self.bodies.frame_of(found.body), origin.displacement
+        start = pairing.relative(nodes, nodes.coordinates + u.reshape(-1, nodes.components))
+        slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
+        ahead = frame.displacements(frame.ahead(self.from_here), on.places)
+        moved: Vector = on.slave - start + ahead - slid
         return moved
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
-        space = self.boundary.space
-        contacts = [found.with_friction(space, self.prescribed) for found in self.contacts]
+        space, prescribed = self.boundary.space, self.prescribed
+        contacts = [
+            replace(f, friction=nodal_friction(space, f.contact, f.pairing, prescribed))
+            for f in self.contacts
+        ]
         return replace(self, contacts=contacts)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
@@ -245,9 +199,9 @@ class ContactSet:
 
         The mesh has as many bodies as `first`, the number of the first one here.
         """
-        bodies, preloads = self.bodies.subdomains(self.from_here), self._preloads
         first += len(self.bodies.frames)
-        return bodies + [preloads[k][1].subdomain(first + k) for k in self._own(preloads)]
+        bolts = [p.subdomain(first + k) for k, (_, p) in enumerate(self._preloads)]
+        return self.bodies.subdomains(self.from_here) + bolts[self._own_preloads]
 
     @property
     def added_names(self) -> list[str]:
@@ -263,31 +217,24 @@ class ContactSet:
         found = ((tie, tie.pairing.preload) for tie in self.ties)
         return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
 
-    def _own(self, bodies: Sequence[object]) -> range:
-        """Return which of all ranks' bodies this one has."""
+    @property
+    def _own_preloads(self) -> slice:
+        """Which of all ranks' bolts with an unknown shortening this one has."""
         comm = self.boundary.nodes.comm
-        return range(comm.rank, len(bodies), comm.size)
+        return slice(comm.rank, None, comm.size)
 
     def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
-        """Return shortenings by number of the bolt. Collective.
-
-        They are those of `added_subdomains`, with which the displacements of subdomains end.
-        """
+        """Return shortenings by number of the bolt, of displacements of subdomains. Collective."""
         preloads = self._preloads
-        values, mine = np.zeros(len(preloads)), self._own(preloads)
-        for k, displacement in zip(
-            mine, displacements[len(displacements) - len(mine) :], strict=True
-        ):
-            values[k] = displacement @ preloads[k][1].axis
+        values, own = np.zeros(len(preloads)), preloads[self._own_preloads]
+        last = displacements[len(displacements) - len(own) :]
+        values[self._own_preloads] = [u @ p.axis for u, (_, p) in zip(last, own, strict=True)]
         self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
         return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
 
     def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
-        """Return the motions of all rigid bodies after displacements of subdomains. Collective.
-
-        The displacements end with those of `added_subdomains`.
-        """
-        bolts = len(self._own(self._preloads))
+        """Return the motions of all rigid bodies after displacements of subdomains. Collective."""
+        bolts = len(self._preloads[self._own_preloads])
         of_bodies = displacements[: len(displacements) - bolts]
         return self.bodies.motions_after(of_bodies, self.from_here)
 
@@ -301,23 +248,22 @@ class ContactSet:
         """
         bodies, measured, contacts = bodies or self.bodies, [], []
         for found in self.contacts:
-            k = bodies.number(found.body)
-            new = found.measured(uh, None if k is None else bodies.places[k])
+            new = found.measured(uh, bodies)
             measured.append(new)
-            after = replace(found, pairing=new.pairing)
-            contacts.append(
-                after if k is None else self._on_body(after, bodies, k, uh, new.distance)
-            )
+            found = replace(found, pairing=new.pairing)
+            if found.body is not None:
+                found = self._on_body(found, bodies.frame_of(found.body), uh, new.distance)
+            contacts.append(found)
         return replace(self, contacts=contacts, bodies=bodies), measured
 
     def _on_body(
-        self, found: FoundContact, bodies: RigidBodies, k: int, uh: Function, distance: Vector
+        self, found: FoundContact, frame: BodyFrame, uh: Function, distance: Vector
     ) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
-        nodes, pairing, motion = self.boundary.nodes, found.pairing, bodies.places[k].motion
+        nodes, pairing, motion = self.boundary.nodes, found.pairing, frame.motion
         x = pairing.relative(nodes, nodes.coordinates + nodes.values(uh)[: nodes.owned])
         places = x + _along(pairing.normal, distance) - motion[: nodes.components]
-        moved = np.sum(pairing.normal * bodies.frames[k].displacements(motion, places), axis=1)
+        moved = np.sum(pairing.normal * frame.displacements(motion, places), axis=1)
         pairing = replace(pairing, gap=pairing.gap - moved)
         return replace(found, pairing=pairing, on_body=OnBody(places, x))
 
@@ -333,34 +279,29 @@ class ContactSet:
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
-        bodies = replace(other.bodies, frames=self.bodies.frames)
+        bodies = self.bodies.placed_as(other.bodies)
         return replace(self, contacts=contacts, bodies=bodies).with_friction()
 
     def bodies_after(self, solution: TornSolution) -> RigidBodies:
         """Return the rigid bodies where a solution moves them. Collective."""
         return self.bodies.moved(self.motions_after(solution.displacements))
 
-    def solved(
-        self, solution: TornSolution, uh: Function, bodies: RigidBodies | None = None
-    ) -> SolvedContacts:
-        """Return the solution at each contact and tied pair. Collective.
-
-        The rigid bodies are by default where the solution moves them.
-        """
-        opening = openings(self.boundary.nodes, self.pairings, owned_values(uh))
-        if bodies is None:
-            bodies = self.bodies_after(solution)
+    def solved(self, solution: TornSolution, uh: Function, bodies: RigidBodies) -> SolvedContacts:
+        """Return the solution, which has moved the bodies, at contacts and ties. Collective."""
+        conditions = contact_rows(self.pairings, self.boundary.nodes.components)
+        moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
+        opening = (conditions.gap - moved) / conditions.length
         shortenings = self._shortenings(solution.displacements)
         contacts, ties, row, site = [], [], 0, 0
-        for found, gap_after in zip(self.contacts, opening, strict=True):
-            k = bodies.number(found.body)
-            if k is not None and found.on_body is not None:
-                moved = bodies.frames[k].displacements(bodies.motions[k], found.on_body.places)
-                gap_after += np.sum(found.pairing.normal * moved, axis=1)
+        for found in self.contacts:
             rows = slice(row, row + found.pairing.slave.size)
+            if found.on_body is not None:
+                frame = bodies.frame_of(found.body)
+                moved = frame.displacements(frame.motion, found.on_body.places)
+                opening[rows] += np.sum(found.pairing.normal * moved, axis=1)
             sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
             row, site = rows.stop, sites.stop
-            contacts.append(self._result(found, gap_after, solution, rows, sites))
+            contacts.append(self._result(found, opening[rows], solution, rows, sites))
         row = 0
         for tie in self.ties:
             rows = slice(row, row + tie.pairing.rows.size)
@@ -368,15 +309,10 @@ class ContactSet:
             forces = solution.report.contacts[tie.number]
             values = solution.tied_force[rows]
             ties.append(self._tied_result(tie, forces, values, shortenings))
-        results = [
-            self._body_result(frame, place, solution)
-            for frame, place in zip(bodies.frames, bodies.places, strict=True)
-        ]
+        results = [self._body_result(frame, solution) for frame in bodies.frames]
         return SolvedContacts(self, contacts, ties, uh, bodies, results)
 
-    def _body_result(
-        self, frame: BodyFrame, place: BodyPlace, solution: TornSolution
-    ) -> RigidBodyResult:
+    def _body_result(self, frame: BodyFrame, solution: TornSolution) -> RigidBodyResult:
         force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
         entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
         for found in entries:
@@ -385,7 +321,7 @@ class ContactSet:
                 entry = solution.report.contacts[found.number]
                 force += entry.force_on_master
                 moment += entry.moment_on_master
-        return RigidBodyResult.of(frame, place, force, moment)
+        return RigidBodyResult.of(frame, force, moment)
 
     def _result(
         self,
@@ -395,11 +331,17 @@ class ContactSet:
         rows: slice,
         sites: slice,
     ) -> ContactResult:
-        pairing, force = found.pairing, solution.normal_force[rows]
-        forces, roles = vars(solution.report.contacts[found.number]), found.roles
+        pairing, friction = found.pairing, found.friction
+        force = solution.normal_force[rows]
+        entry = ContactEntry(
+            **vars(solution.report.contacts[found.number]),
+            pairing=found.undeformed.summary,
+            roles_ratio=found.roles.ratio,
+            roles=found.roles.reason,
+        )
         return ContactResult(
             pairing.name,
-            ContactEntry(**forces, pairing=found.undeformed.summary, **roles.entries()),
+            entry,
             pairing.slave,
             self.dofs(pairing.slave),
             pairing.coordinates,
@@ -411,14 +353,7 @@ class ContactSet:
             active=force > 0.0,
             area=pairing.area,
             coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
-            friction=friction_result(
-                found.friction,
-                pairing,
-                solution.tangential_force[sites],
-                solution.slip[sites],
-                solution.sticking[sites],
-                solution.slip_bound[sites],
-            ),
+            friction=None if friction is None else friction.result(solution, sites, pairing.area),
             comm=self.boundary.nodes.comm,
         )
 
@@ -482,13 +417,14 @@ class SolvedContacts:
         conditions, parts = self.conditions, []
         gdim = conditions.boundary.nodes.components
         for found in conditions.contacts:
-            k, on, moved = self.bodies.number(found.body), found.on_body, np.zeros((0, gdim))
+            on, moved = found.on_body, np.zeros((0, gdim))
             if found.friction is not None:
                 moved = found.friction.obstacle_displacement
-                if k is not None and on is not None:
-                    frame, before = self.bodies.frames[k], conditions.bodies.places[k]
-                    step = frame.displacements(self.bodies.motions[k] - before.motion, on.places)
-                    moved = on.slave - before.undeformed_places(frame.body, on.slave) + step
+                if on is not None:
+                    before = conditions.bodies.frame_of(found.body)
+                    motion = self.bodies.frame_of(found.body).motion - before.motion
+                    step = before.displacements(motion, on.places)
+                    moved = on.slave - before.undeformed_places(on.slave) + step
             parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
         return SlaveValues.of(parts, gdim)
 
@@ -499,215 +435,6 @@ class SolvedContacts:
     def gathered(self) -> list[SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank. Collective."""
         return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
-
-
-class ContactSearch:
-    """The search for the conditions of a problem's contacts and tied pairs.
-
-    What was found is used again as long as the user's contacts and the nodes of the mesh are the
-    same. It also decides, once for each pair, whether slave and master are exchanged. Obstacles are
-    evaluated on the surfaces deformed by a displacement, if one is given.
-    """
-
-    def __init__(
-        self,
-        space: FunctionSpace,
-        bodies: Bodies,
-        measure_weight: Any,
-        timer: Timer,
-        displacement: Function | None = None,
-        rigid: Mapping[int, RigidBody] | None = None,
-    ) -> None:
-        self._space, self._bodies, self._timer = space, bodies, timer
-        self._rigid_tags = rigid or {}
-        self._displacement = displacement
-        self._measure_weight = measure_weight
-        self._roles: list[Roles] = []
-        self._made_master: list[Roles] = []  # pairs whose slave was rigid
-        self.forget()
-
-    def forget(self) -> None:
-        """Find the boundary of the mesh anew, because its nodes were moved. Collective."""
-        self._last: ContactSet | None = None
-        with self._timer.phase("contact search"):
-            self.boundary = MeshBoundary.of(self._space, self._measure_weight)
-            self.rigid = RigidNodes.of(
-                self._space, self._bodies, self._rigid_tags, self.boundary.coordinates
-            )
-
-    def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
-        """Return the undeformed conditions; only what changed is searched again. Collective."""
-        touching, ties = dict[int, Roles](), dict[int, Tie]()
-        for number, contact in enumerate(contacts):
-            if isinstance(contact, Tie):
-                ties[number] = contact
-            else:
-                touching[number] = self._roles_of(contact) or self._first_roles(contact)
-        self.rigid.check_supports(prescribed)
-        with self._timer.phase("contact search"):
-            none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
-            last = self._last or ContactSet(self.boundary, [], [], prescribed, none, self.rigid)
-            known = [(found.contact, found.undeformed) for found in last.contacts]
-            pairings = match_contacts(
-                self.boundary,
-                [roles.used for roles in touching.values()],
-                known,
-                prescribed,
-                list(touching),
-                self._displacement,
-            )
-            checked = {id(pairing) for _, pairing in known}
-            check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
-            found_contacts = [
-                FoundContact(number, roles, pairing, pairing).placed(
-                    self.boundary.nodes, self.rigid
-                )
-                for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
-            ]
-            found_ties = [
-                self._found_tie(number, tie, last, prescribed) for number, tie in ties.items()
-            ]
-            bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
-            found = ContactSet(
-                self.boundary, found_contacts, found_ties, prescribed, bodies, self.rigid
-            ).with_friction()
-        self._last = found
-        return found
-
-    def _first_roles(self, contact: Contact) -> Roles:
-        """Return the roles of a new contact: a rigid surface is the master. Collective."""
-        known = next((roles for roles in self._made_master if roles.given is contact), None)
-        if known is not None or not isinstance(contact, ContactPair):
-            return known or Roles(contact, contact)
-        may_exchange = contact.roles == "auto" and one_sided_data(contact) is None
-        is_rigid = [
-            self.rigid.on_surface(self._nodes_of(contact, tag))
-            for tag in (contact.slave, contact.master)
-        ]
-        if is_rigid != [True, False] or not may_exchange:
-            return Roles(contact, contact)
-        reason = "slave and master are exchanged: the given slave is rigid"
-        self._made_master.append(Roles(contact, exchanged(contact), None, reason))
-        return self._made_master[-1]
-
-    def _nodes_of(self, contact: ContactPair, tag: int) -> Numbers:
-        """Return this rank's nodes on facets with a tag; wrong tags are found later."""
-        dim, domain = self._space.mesh.topology.dim - 1, self._space.mesh
-        tags = contact.facet_tags
-        if not (_compat.tags_are_on(tags, domain) and tags.dim == dim):
-            return np.zeros(0, dtype=np.int64)
-        facets = tags.find(tag)
-        return np.asarray(locate_dofs_topological(self._space, dim, facets), dtype=np.int64)
-
-    def _found_tie(
-        self, number: int, tie: Tie, last: ContactSet, prescribed: Prescribed
-    ) -> FoundTie:
-        pairing = self._tied(tie, number, last, prescribed)
-        return FoundTie(number, tie, pairing, self.rigid.master_of(pairing.rows, pairing.name))
-
-    def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
-        """Return the rows of a tie, known ones if they still hold. Collective."""
-        name = tie_name(tie, number)
-        known = next((found.pairing for found in last.ties if found.tie is tie), None)
-        if known is not None and known.still_holds(prescribed):
-            return known
-        match tie:
-            case TiedPair():
-                return tie_surfaces(self.boundary, tie, name, prescribed)
-            case PeriodicPair():
-                return periodic_rows(self.boundary, tie, name)
-            case BoltPreload():
-                preloads = [found.pairing.preload for found in last.ties if found.number == number]
-                return preload_rows(self.boundary, tie, number, name, *(preloads or [None]))
-            case LinearRows():
-                return linear_rows(self.boundary, tie, name)
-
-    def _rigid_bodies(
-        self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
-    ) -> RigidBodies:
-        """Return the contacts' rigid bodies where nothing has moved. Collective.
-
-        Their nodes are numbered after those of the mesh and of as many bolts.
-        """
-        comm, gdim = self._space.mesh.comm, self._space.mesh.geometry.dim
-        of_contacts = [found.body for found in contacts if found.body is not None]
-        bodies = list(dict.fromkeys([*self.rigid.bodies, *of_contacts]))
-        for found in contacts:
-            if found.body is not None and found.body.gdim != gdim:
-                raise InputError(
-                    f"{found.pairing.name}: the reference point of the body has "
-                    f"{found.body.gdim} coordinates, the mesh {gdim}"
-                )
-
-        def box_of(body: RigidBody) -> Vector:
-            on = [found.on_body for found in contacts if found.body is body]
-            parts = [part.places for part in on if part is not None]
-            x = np.concatenate([*parts, self.rigid.places_of(body)])
-            box = np.array([x.min(axis=0, initial=np.inf), -x.max(axis=0, initial=-np.inf)])
-            comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
-            return np.array([box[0], -box[1]])
-
-        first = self.boundary.nodes.total + bolts, self._bodies.deformable
-        frames = find_frames(bodies, box_of, first, known.frames)
-        return RigidBodies(comm, gdim, frames, [BodyPlace.undeformed(body) for body in bodies])
-
-    def with_roles(
-        self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]
-    ) -> ContactSet:
-        """Exchange slave and master of new pairs where that is better and wanted, or warn."""
-        comm = self._space.mesh.comm
-        new = [
-            index
-            for index, entry in enumerate(found.contacts)
-            if isinstance(entry.contact, ContactPair) and self._roles_of(entry.roles.given) is None
-        ]
-        if not new:
-            return found
-        stiffness = nodal_stiffness(self.boundary.nodes, torn)
-        for index in new:
-            found = self._decide_roles(found, index, contacts, stiffness)
-        with raise_collectively(comm):
-            for index in new if comm.rank == 0 else ():
-                warn_of_deviation(found.contacts[index].undeformed.summary)
-        return found
-
-    def _roles_of(self, contact: Contact) -> Roles | None:
-        return next((roles for roles in self._roles if roles.given is contact), None)
-
-    def _decide_roles(
-        self,
-        found: ContactSet,
-        index: int,
-        contacts: Sequence[Contact | Tie],
-        stiffness: Vector,
-    ) -> ContactSet:
-        """Decide the roles of one pair, and find all conditions anew if they are exchanged."""
-        comm, entry = self._space.mesh.comm, found.contacts[index]
-        pair, pairing = entry.roles.given, entry.undeformed
-        assert isinstance(pair, ContactPair)
-        if entry.roles.used is not pair:
-            self._roles.append(entry.roles)
-            return found
-        ratio = roles_ratio(pairing, stiffness)
-        roles = Roles(pair, pair, ratio, describe_roles(pair, ratio, False, None))
-        if ratio is not None and prefers_exchange(pair, ratio):
-            reason = describe_roles(pair, ratio, True, None)
-            self._roles.append(Roles(pair, exchanged(pair), 1.0 / ratio, reason))
-            try:
-                found = self.find(contacts, found.prescribed)
-                roles = self._roles[-1]
-            except InputError as error:
-                # surfaces that can be masters only, such as folded ones, or masters of other pairs
-                reason = describe_roles(pair, ratio, False, str(error))
-                roles = replace(roles, reason=reason)
-            self._roles.pop()
-        self._roles.append(roles)
-        with raise_collectively(comm):
-            if roles.ratio is not None and comm.rank == 0:
-                warn_of_roles(pairing.name, roles.ratio)
-        found_contacts = list(found.contacts)
-        found_contacts[index] = replace(found_contacts[index], roles=roles)
-        return replace(found, contacts=found_contacts)
 
 
 def _along(normal: Vector, distance: Vector) -> Vector:

@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
@@ -23,6 +23,7 @@ from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObst
 from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
 from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps
 from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.displacement import owned_values
@@ -48,17 +49,15 @@ class DeformedContact:
 def deformed_contact(
     contact: Contact, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    """Measure normals, gaps and penetration in the deformed state. Collective.
+    """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
-    For pairs of nodes the facets and nodes of both surfaces are gathered on all ranks; for mortar
-    conditions a rank gets those near its part of the slave. A bilinear quadrilateral is
-    approximated by four triangles around its centre. The normal at a node is the integral of the
-    deformed facets' normal times the node's shape function, as in `match_contact`, unless the
-    user gave the normal. The gap to a master is measured along it, see
-    `FacetedSurface.gap_along`; the gap to an obstacle is that which the obstacle returns, if alone
-    along the slave's deformed normal. Ghosts of the displacement are updated.
+    The normal at a node is the integral of the deformed facets' normal times the node's shape
+    function, unless the user gave it. The gap to a master is along it, see
+    `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
-    _check_displacement(pairing.surface.boundary.space, displacement)
+    with raise_collectively(pairing.surface.comm):
+        if not np.isfinite(owned_values(displacement)).all():
+            raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
     if isinstance(contact, RigidObstacle):
         return _deformed_obstacle(contact, pairing, displacement)
@@ -117,17 +116,6 @@ def geometry_pass(
     return GeometryPass(penetration, separation, slip, tilt, max(error, slip, tilt), products)
 
 
-def _check_displacement(space: FunctionSpace, displacement: Function) -> None:
-    with raise_collectively(space.mesh.comm):
-        if displacement.function_space != space:
-            raise InputError(
-                "the displacement is on another function space than the contact's nodes; use one "
-                "space for both"
-            )
-        if not np.isfinite(owned_values(displacement)).all():
-            raise InputError("the displacement is NaN or infinite at some nodes")
-
-
 def _deformed_pairs(
     contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
@@ -140,7 +128,7 @@ def _deformed_pairs(
     if contact.normal is None:
         slave.check_not_folded(pairing.name)
         normal = slave.normal[rows]
-    distance, signed = master.faceted().gap_along(slave.points[rows], normal)
+    distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
     partner = _opposite(master, partner, slave.points[rows] + distance[:, None] * normal)
     relative = slave.displacement[rows] - master.displacement[partner]
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])

@@ -1,4 +1,4 @@
-"""Contacts as users describe them: surfaces, partners of their nodes, and laws of friction.
+"""Contacts and ties as users describe them: surfaces, partners of nodes, laws of friction.
 
 Each description checks itself when it is made, so that the error is at the line that the user
 wrote. What depends on the mesh is checked when the problem is posed.
@@ -7,7 +7,7 @@ wrote. What depends on the mesh is checked when the problem is posed.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -18,15 +18,17 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.obstacles.shapes import Obstacle
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import (
     ScalarField,
     VectorField,
+    as_array,
     as_coordinates,
     as_direction,
     as_points,
     is_number,
 )
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 NodalValue: TypeAlias = ScalarField | Any  # or a Function
 InitialGap: TypeAlias = Literal["geometric", "touching"] | ScalarField
@@ -209,7 +211,31 @@ NodePartners: TypeAlias = Nearest | Along | Mapped | Points
 
 
 @dataclass(frozen=True)
-class ContactPair:
+class _SurfacePair:
+    """Two tagged surfaces."""
+
+    facet_tags: Any
+    slave: int
+    master: int
+    _: KW_ONLY
+    name: str = ""
+
+    def _checked(
+        self, remedy: str = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
+    ) -> str:
+        """Check the surfaces, and return how messages call the pair."""
+        label = _label(self)
+        _check_surfaces(self.facet_tags, {"slave": self.slave, "master": self.master}, label)
+        if self.slave == self.master:
+            raise InputError(
+                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
+                f"of its own. {remedy}"
+            )
+        return label
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPair(_SurfacePair):
     """Two tagged surfaces that may touch but not penetrate each other.
 
     Their meshes need not match, and each surface may extend beyond the other. :doc:`/surfaces` says
@@ -252,11 +278,6 @@ class ContactPair:
     >>> ContactPair(facet_tags, 5, 6, initial_gap=-0.05e-3)  # a shrink fit  # doctest: +SKIP
     """
 
-    facet_tags: Any
-    slave: int
-    master: int
-    _: KW_ONLY
-    name: str = ""
     friction: FrictionLaw | None = None
     initial_gap: InitialGap = "geometric"
     normal: VectorField | None = None
@@ -266,14 +287,18 @@ class ContactPair:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = label_of(self)
-        remedy = (
+        label = self._checked(
             "Where it is one surface between two bodies that share its nodes, "
             "fenics_tfeti.io.split_interfaces makes two of it"
         )
-        check_two_surfaces(self, label, remedy)
         _check_friction(self.friction, label)
-        _check_initial_gap(self.initial_gap, label)
+        gap = self.initial_gap
+        is_word = isinstance(gap, str) and gap in ("geometric", "touching")
+        if not (is_word or callable(gap) or is_number(gap)):
+            raise InputError(
+                f"{label}: initial_gap is {gap!r}; 'geometric', 'touching', a number [m] or a "
+                "function x (3, n) -> (n,) is expected"
+            )
         if self.normal is not None and not callable(self.normal):
             as_direction(self.normal, f"{label}: the normal")
         if not isinstance(self.partial, bool):
@@ -333,8 +358,8 @@ class RigidObstacle:
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = label_of(self)
-        check_surfaces(self.facet_tags, {"slave": self.slave}, label)
+        label = _label(self)
+        _check_surfaces(self.facet_tags, {"slave": self.slave}, label)
         if self.body is not None and not isinstance(self.body, RigidBody):
             raise InputError(
                 f"{label}: body is a {type(self.body).__name__}; a RigidBody or None is expected"
@@ -360,8 +385,8 @@ class RigidObstacle:
             as_coordinates(self.displacement, f"{label}: the obstacle's displacement")
 
 
-@dataclass(frozen=True)
-class TiedPair:
+@dataclass(frozen=True, kw_only=True)
+class TiedPair(_SurfacePair):
     """Two tagged surfaces that stay together where they face each other.
 
     They may be meshed apart, as a coarse and a fine part of one body are: mortar conditions hold
@@ -383,19 +408,186 @@ class TiedPair:
     >>> TiedPair(facet_tags, slave=5, master=6, name="glue")  # doctest: +SKIP
     """
 
-    facet_tags: Any
-    slave: int
-    master: int
+    def __post_init__(self) -> None:
+        """Check the data."""
+        self._checked("Bodies that share the nodes of a surface are tied already")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeriodicPair(_SurfacePair):
+    """Two tagged surfaces that match, of which one moves as the other does.
+
+    Each node x' of the slave is the image x' = Q x + t of a node x of the master, and the
+    displacements are u(x') = Q u(x) + c: of periodic cells, and of sectors of cyclic bodies. A
+    periodic cell with the mean strain E has ``jump=E @ translation``.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tag of the slave's and of the master's surface; their meshes have to match.
+    translation : (gdim,) array-like, optional
+        t [m]; by default 0.
+    rotation : (gdim, gdim) array-like, optional
+        Q, an orthogonal matrix; by default there is no rotation.
+    jump : (gdim,) array-like or callable, optional
+        c [m]; a callable gets x' (3, n) and returns (gdim, n). By default 0.
+    name : str
+        For messages and the report.
+
+    Examples
+    --------
+    A sector of 30 degrees around the origin, from the surface 5 to the surface 6:
+
+    >>> c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
+    >>> PeriodicPair(tags, slave=6, master=5, rotation=[[c, -s], [s, c]])  # doctest: +SKIP
+    """
+
+    translation: ArrayLike | None = None
+    rotation: ArrayLike | None = None
+    jump: VectorField | None = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = self._checked()
+        if self.translation is None and self.rotation is None:
+            raise InputError(
+                f"{label}: neither a translation nor a rotation from the master to the slave is "
+                "given. Surfaces at the same place are held together by TiedPair"
+            )
+        if self.translation is not None:
+            as_coordinates(self.translation, f"{label}: the translation")
+        if self.rotation is not None:
+            _check_rotation(self.rotation, label)
+        if self.jump is not None and not callable(self.jump):
+            as_coordinates(self.jump, f"{label}: the jump")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoltPreload(_SurfacePair):
+    """A cut through the shank of a bolt, which is shortened or loaded along its axis.
+
+    The two sides of the cut have nodes of their own at the same places, as
+    `fenics_tfeti.io.split_interfaces` makes them. They stay together across the axis; along it they
+    overlap by the shortening, as if so much of the shank were taken out. Either it is given, or the
+    force. A bolt that was tightened by its force is locked for the steps that follow by `locked`.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tags of the two sides of the cut.
+    force : float, optional
+        Tension of the shank [N]; [N/m] in plane problems.
+    shortening : float, optional
+        [m]
+    axis : (gdim,) array-like, optional
+        Direction of the axis, of any length and either sense. By default the normal of the cut,
+        which has to be plane.
+    name : str
+        For messages and the report.
+
+    Examples
+    --------
+    >>> bolt = BoltPreload(tags, slave=11, master=12, force=50e3, name="bolt")  # doctest: +SKIP
+    >>> problem = ContactProblem(a, L, bcs=bcs, contacts=[joint, bolt])  # doctest: +SKIP
+    >>> problem.solve()  # doctest: +SKIP
+    >>> problem.contacts[1] = bolt.locked(problem.results["bolt"])  # doctest: +SKIP
+    """
+
+    force: float | None = None
+    shortening: float | None = None
+    axis: ArrayLike | None = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = self._checked()
+        if (self.force is None) == (self.shortening is None):
+            raise InputError(f"{label}: give the force or the shortening, one of the two")
+        for what in ("force", "shortening"):
+            value = getattr(self, what)
+            if value is not None and not is_number(value):
+                raise InputError(f"{label}: the {what} is {value!r}; a finite number is expected")
+        if self.axis is not None:
+            as_direction(self.axis, f"{label}: the axis")
+
+    def locked(self, result: Any) -> BoltPreload:
+        """Return the bolt with the shortening of a result in place of its force."""
+        return replace(self, force=None, shortening=float(result.shortening))
+
+
+@dataclass(frozen=True, eq=False)
+class LinearRows:
+    """Any linear conditions u_i = sum_j a_j u_j + value between degrees of freedom.
+
+    Each rank gives the conditions of slaves that it owns. The arrays are those that
+    ``dolfinx_mpc.MultiPointConstraint.add_constraint`` takes.
+
+    Attributes
+    ----------
+    slaves : (k,) integer array-like
+        Degrees of freedom i on this rank: ``gdim * node + component`` with local nodes of the
+        displacement's space.
+    masters : (t,) integer array-like
+        Degrees of freedom j of any ranks, with global nodes.
+    coefficients : (t,) array-like
+        a_j.
+    offsets : (k + 1,) integer array-like
+        The masters of condition i are those from ``offsets[i]`` up to ``offsets[i + 1]``.
+    values : (k,) array-like or float
+        [m]
+    name : str
+        For messages and the report.
+    """
+
+    slaves: ArrayLike
+    masters: ArrayLike
+    coefficients: ArrayLike
+    offsets: ArrayLike
     _: KW_ONLY
+    values: ArrayLike = 0.0
     name: str = ""
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = label_of(self)
-        check_two_surfaces(self, label, "Bodies that share the nodes of a surface are tied already")
+        label = _label(self)
+        slaves, masters, offsets = (
+            _as_integers(getattr(self, what), f"{label}: {what}")
+            for what in ("slaves", "masters", "offsets")
+        )
+        ascends = offsets.size == slaves.size + 1 and (np.diff(offsets) >= 0).all()
+        if not (ascends and offsets[0] == 0 and offsets[-1] == masters.size):
+            raise InputError(
+                f"{label}: offsets are positions among the masters, {slaves.size + 1} that ascend "
+                f"from 0 to {masters.size}"
+            )
+        for what, size in (("coefficients", masters.size), ("values", slaves.size)):
+            numbers = _as_numbers(getattr(self, what), f"{label}: {what}")
+            if numbers.shape != (size,) and not (what == "values" and numbers.ndim == 0):
+                raise InputError(f"{label}: {what} has shape {numbers.shape}, expected ({size},)")
+        if np.unique(slaves).size != slaves.size:
+            raise InputError(f"{label}: a degree of freedom is the slave of two conditions")
+
+    @staticmethod
+    def from_mpc(mpc: Any, name: str = "") -> LinearRows:
+        """Return the conditions of a finalized ``dolfinx_mpc.MultiPointConstraint``."""
+        coefficients, offsets = (np.asarray(part) for part in mpc.coefficients())
+        slaves = np.asarray(mpc.slaves)[: mpc.num_local_slaves]
+        counts = np.diff(offsets)[slaves]
+        ends = np.append(0, np.cumsum(counts))
+        terms = np.repeat(offsets[slaves] - ends[:-1], counts) + np.arange(ends[-1])
+        # masters that this rank does not own are ghosts of the constraint's own space
+        dofmap = mpc.function_space.dofmap
+        block, component = np.divmod(np.asarray(mpc.masters.array)[terms], dofmap.index_map_bs)
+        nodes = np.asarray(dofmap.index_map.local_to_global(block.astype(np.int32)))
+        masters = dofmap.index_map_bs * nodes.astype(np.int64) + component
+        return LinearRows(slaves, masters, coefficients[terms], ends, name=name)
 
 
 Contact: TypeAlias = ContactPair | RigidObstacle
+Tie: TypeAlias = TiedPair | PeriodicPair | BoltPreload | LinearRows
 
 
 @dataclass(frozen=True)
@@ -433,20 +625,30 @@ class Exact:
             raise InputError(f"Exact: max_passes is {count!r}; a positive integer is expected")
 
 
-def contact_name(contact: Contact, number: int) -> str:
-    """Return a contact's name, by default from its number and kind."""
-    kind = "pair" if isinstance(contact, ContactPair) else "obstacle"
-    return contact.name or f"contact {number} ({kind})"
+_DEFAULT_NAMES = {
+    ContactPair: "contact {} (pair)",
+    RigidObstacle: "contact {} (obstacle)",
+    TiedPair: "tied pair {}",
+    PeriodicPair: "periodic pair {}",
+    BoltPreload: "bolt {}",
+    LinearRows: "linear rows {}",
+}
 
 
-def label_of(contact: Any) -> str:
+def contact_name(contact: Contact | Tie, number: int) -> str:
+    """Return the name of a contact or tie, by default from its number and kind."""
+    name = next(text for kind, text in _DEFAULT_NAMES.items() if isinstance(contact, kind))
+    return contact.name or name.format(number)
+
+
+def _label(contact: Any) -> str:
     """Return how messages call a contact that has no number yet; check that a name is a text."""
     if not isinstance(contact.name, str):
         raise InputError(f"{type(contact).__name__}: name is {contact.name!r}; a text is expected")
     return contact.name or type(contact).__name__
 
 
-def check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
+def _check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
     """Check tags of facets, and the tag of each role."""
     if not (hasattr(facet_tags, "find") and hasattr(facet_tags, "dim")):
         raise InputError(
@@ -460,16 +662,6 @@ def check_surfaces(facet_tags: Any, tags: dict[str, Any], label: str) -> None:
                 "values of facet_tags. Surfaces have numbers, not names; to use several tags, "
                 "join them under one"
             )
-
-
-def check_two_surfaces(pair: Any, label: str, remedy: str) -> None:
-    """Check tags of facets, and those of the slave and the master, which differ."""
-    check_surfaces(pair.facet_tags, {"slave": pair.slave, "master": pair.master}, label)
-    if pair.slave == pair.master:
-        raise InputError(
-            f"{label}: slave and master have the same tag {pair.slave}; each surface needs one of "
-            f"its own. {remedy}"
-        )
 
 
 def _check_tolerance(partners: NodePartners) -> None:
@@ -498,11 +690,24 @@ def _check_nodal_value(value: Any, label: str) -> None:
         )
 
 
-def _check_initial_gap(value: Any, label: str) -> None:
-    if isinstance(value, str) and value in ("geometric", "touching"):
-        return
-    if not callable(value) and not is_number(value):
-        raise InputError(
-            f"{label}: initial_gap is {value!r}; 'geometric', 'touching', a number [m] or a "
-            "function x (3, n) -> (n,) is expected"
-        )
+def _check_rotation(rotation: ArrayLike, label: str) -> None:
+    Q = _as_numbers(rotation, f"{label}: the rotation")
+    if Q.shape not in ((2, 2), (3, 3)):
+        raise InputError(f"{label}: the rotation has shape {Q.shape}, expected (gdim, gdim)")
+    if np.abs(Q @ Q.T - np.identity(len(Q))).max() > RELATIVE_ROUNDING:
+        raise InputError(f"{label}: the rotation is no orthogonal matrix: Q Q' is not the identity")
+
+
+def _as_numbers(values: Any, what: str) -> Vector:
+    numbers = as_array(values, what)
+    if not np.isfinite(numbers).all():
+        raise InputError(f"{what}: a number is NaN or infinite")
+    return numbers
+
+
+def _as_integers(values: Any, what: str) -> Numbers:
+    numbers = _as_numbers(values, what)
+    integers = numbers.astype(np.int64)
+    if numbers.ndim != 1 or (integers != numbers).any():
+        raise InputError(f"{what}: an array of integers is expected")
+    return integers

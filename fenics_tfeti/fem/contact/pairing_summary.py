@@ -26,7 +26,7 @@ def pairing_summary(
     angle: Vector,
     total: int,
     distance: Vector | None = None,
-    relative: Vector | None = None,
+    size: Vector | float = 1.0,
     area: Vector | None = None,
     covered_area: float | None = None,
     deviation: Vector | None = None,
@@ -35,9 +35,9 @@ def pairing_summary(
 
     Arrays (k,) are of the conditions: gaps [m], infinite where there is no obstacle, angles between
     the slave's normals and the opposite of the master's [degrees], the distances that the tolerance
-    limits [m] and the same relative to the size of the facets, areas as weights of the mean gap,
-    and deviations of the facets from the curved surfaces through their nodes [m], None where gaps
-    do not depend on it. `total` is the number of this rank's slave nodes, with and without partner.
+    limits and the size of the facets that they are relative to [m], areas as weights of the mean
+    gap, and deviations of the facets from the curved surfaces through their nodes [m], None where
+    gaps do not depend on it. `total` is the number of this rank's slave nodes, paired or not.
     """
     finite = np.isfinite(gap)
     pairs = comm.allreduce(int(finite.sum()))
@@ -46,29 +46,25 @@ def pairing_summary(
         extreme = comm.allreduce(float((sign * values[finite]).max(initial=-np.inf)), MPI.MAX)
         return 0.0 + sign * extreme if pairs else None
 
+    blurred = None
+    if deviation is not None:
+        # 1 where a gap is there, but smaller than the deviation
+        blurred = ((gap != 0.0) & (np.abs(gap) < deviation)).astype(float)
     return {
         "contact": name,
         "discretisation": discretisation,
         "pairs": pairs,
         "unmatched": comm.allreduce(total) - pairs,
         "largest_distance": None if distance is None else largest(distance),
-        "largest_relative_distance": None if relative is None else largest(relative),
+        "largest_relative_distance": None if distance is None else largest(distance / size),
         "largest_angle": largest(angle),
         "smallest_gap": largest(gap, -1.0),
         "largest_gap": largest(gap),
         "mean_gap": _mean(comm, gap, area, finite),
         "covered_area": None if covered_area is None else comm.allreduce(covered_area),
         "deviation": None if deviation is None else largest(deviation),
-        "blurred": (
-            None if deviation is None else _mean(comm, _blurred(gap, deviation), area, finite)
-        ),
+        "blurred": None if blurred is None else _mean(comm, blurred, area, finite),
     }
-
-
-def _blurred(gap: Vector, deviation: Vector) -> Vector:
-    """Return 1 where a gap is there, but smaller than the deviation of the facets, else 0."""
-    blurred: Vector = np.where((gap != 0.0) & (np.abs(gap) < deviation), 1.0, 0.0)
-    return blurred
 
 
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
@@ -82,7 +78,7 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
         f"the deviation of the facets from the curved surfaces, up to {deviation:.3g}: gaps "
         f"between {entry['smallest_gap']:.3g} and {entry['largest_gap']:.3g} decide where the "
         "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
-        "use cells of second order with displacement_space(mesh, degree=2), or finer facets",
+        "use cells of second order with displacement_space(mesh, degree=2), or finer facets"
     )
 
 

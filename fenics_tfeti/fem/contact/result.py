@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from typing import Any, Self
 
 from mpi4py import MPI
 
@@ -61,10 +61,12 @@ class ContactEntry(ContactForces):
         )
 
 
-class _Summed:
-    """The sums over a surface; see `ContactEntry`."""
+class _SurfaceResult:
+    """The solution at nodes of a surface, and its sums there; see `ContactEntry`."""
 
     entry: ContactEntry
+    nodes: Numbers
+    comm: MPI.Intracomm
 
     @property
     def force(self) -> Vector:
@@ -80,6 +82,12 @@ class _Summed:
     def friction_work(self) -> float:
         """Work that friction dissipates [J]."""
         return self.entry.friction_work
+
+    def gather(self) -> Self:
+        """Return the nodes of all ranks, by node number, on every rank. Collective."""
+        order = np.argsort(concatenate_ranks(self.comm, self.nodes))
+        gathered: Self = replace(_gathered(self, self.comm, order), comm=MPI.COMM_SELF)
+        return gathered
 
 
 @dataclass(frozen=True)
@@ -124,7 +132,7 @@ class FrictionResult:
 
 
 @dataclass(frozen=True)
-class ContactResult(_Summed):
+class ContactResult(_SurfaceResult):
     """The solution at the slave nodes that this rank owns, and its sums over the surface.
 
     Attributes
@@ -212,18 +220,9 @@ class ContactResult(_Summed):
             on_master=not self.on_master,
         )
 
-    def gather(self) -> ContactResult:
-        """Return the nodes of all ranks, by node number, on every rank. Collective."""
-        order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        arrays = _gathered(self, self.comm, order)
-        if self.friction is not None:
-            friction = _gathered(self.friction, self.comm, order)
-            arrays["friction"] = replace(self.friction, **friction)
-        return replace(self, comm=MPI.COMM_SELF, **arrays)
-
 
 @dataclass(frozen=True)
-class TiedResult(_Summed):
+class TiedResult(_SurfaceResult):
     """The solution of a tie at the slave nodes that this rank owns.
 
     A tie is a TiedPair, PeriodicPair, BoltPreload or LinearRows.
@@ -264,11 +263,6 @@ class TiedResult(_Summed):
     traction: Vector
     area: Vector
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
-
-    def gather(self) -> TiedResult:
-        """Return the nodes of all ranks, by node number, on every rank. Collective."""
-        order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        return replace(self, comm=MPI.COMM_SELF, **_gathered(self, self.comm, order))
 
 
 class BoltResult(TiedResult):
@@ -328,13 +322,13 @@ class Results(tuple[Any, ...]):
         return f"Results({', '.join(map(repr, self.names))})"
 
 
-def _gathered(
-    result: ContactResult | TiedResult | FrictionResult, comm: MPI.Intracomm, order: Numbers
-) -> dict[str, Any]:
-    """Return the arrays of all ranks, in an order. Collective."""
-    arrays = {f.name: getattr(result, f.name) for f in fields(result)}
-    return {
-        name: concatenate_ranks(comm, array)[order]
-        for name, array in arrays.items()
-        if isinstance(array, np.ndarray)
-    }
+def _gathered(result: Any, comm: MPI.Intracomm, order: Numbers) -> Any:
+    """Return a result with the arrays of all ranks, in an order. Collective."""
+    arrays = dict[str, Any]()
+    for column in fields(result):
+        value = getattr(result, column.name)
+        if isinstance(value, np.ndarray):
+            arrays[column.name] = concatenate_ranks(comm, value)[order]
+        elif isinstance(value, FrictionResult):
+            arrays[column.name] = _gathered(value, comm, order)
+    return replace(result, **arrays)

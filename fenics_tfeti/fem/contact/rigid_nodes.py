@@ -17,14 +17,9 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.obstacles.rigid_body import (
-    BodyFrame,
-    BodyPlace,
-    RigidBodies,
-    RigidBody,
-)
+from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.typing import Numbers, Vector
@@ -63,17 +58,13 @@ class RigidNodes:
         values = np.repeat(number[bodies.of_cell], dofs.shape[1])
         body = nodes.sum_at_owners(at, values, np.maximum)
         shared = (body >= 0) & (nodes.sum_at_owners(at, values, np.minimum) < 0)
-        raise_where(
-            nodes.comm,
-            shared,
-            x,
-            lambda count, place: (
-                f"{count} nodes belong to a rigid body of the mesh and to a deformable one, the "
-                f"first at {place}: give each body nodes of its own "
+        if bad := first_wrong(nodes.comm, shared, x):
+            raise InputError(
+                f"{bad.number} nodes belong to a rigid body of the mesh and to a deformable one, "
+                f"the first at {bad.place}: give each body nodes of its own "
                 "(fenics_tfeti.io.split_interfaces), and hold them together by a TiedPair whose "
                 "master is the rigid one"
-            ),
-        )
+            )
         return RigidNodes(nodes, x, distinct, body)
 
     def check_supports(self, prescribed: Prescribed) -> None:
@@ -83,15 +74,11 @@ class RigidNodes:
         local = prescribed.nodes - self.nodes.first
         local = np.unique(local[(local >= 0) & (local < self.nodes.owned)])
         held = local[self.body[local] >= 0]
-        raise_where(
-            self.nodes.comm,
-            np.ones(held.size, dtype=bool),
-            self.x[held],
-            lambda count, place: (
-                f"Dirichlet conditions are for {count} nodes of rigid bodies, the first at "
-                f"{place}: prescribe translation and rotation of the RigidBody instead"
-            ),
-        )
+        if bad := first_wrong(self.nodes.comm, np.ones(held.size, dtype=bool), self.x[held]):
+            raise InputError(
+                f"Dirichlet conditions are for {bad.number} nodes of rigid bodies, the first at "
+                f"{bad.place}: prescribe translation and rotation of the RigidBody instead"
+            )
 
     def places_of(self, body: RigidBody) -> Vector:
         """Return the undeformed places (k, gdim) of this rank's nodes of a body."""
@@ -108,18 +95,12 @@ class RigidNodes:
         return numbers
 
     def master_of(self, rows: ContactRows, name: str) -> RigidBody | None:
-        """Return the rigid body that the master of rows belongs to, if any; check it. Collective.
-
-        The slave is never rigid.
-        """
+        """Return the rigid body of the rows' master, if any; the slave is on none. Collective."""
         if not self.bodies:
             return None
         number = self.numbers_at(rows.nodes)
-        place = np.arange(rows.nodes.size) - rows.offsets[rows.row]
-        assert rows.slaves is not None
-        is_slave = place < rows.slaves[rows.row]
         found = np.zeros((2, len(self.bodies) + 1), dtype=bool)
-        found[is_slave.astype(int), number] = True
+        found[rows.on_slave.astype(int), number] = True
         self.nodes.comm.Allreduce(MPI.IN_PLACE, found, MPI.LOR)
         names = [self._name(k) for k in range(len(self.bodies))]
         slaves, masters = ([*np.flatnonzero(row[:-1])] for row in found[::-1])
@@ -147,10 +128,7 @@ class RigidNodes:
         return f"rigid body '{self.bodies[k].name or k}'"
 
     def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
-        """Return rows in terms of the bodies' corners, with their prescribed motion. Collective.
-
-        The displacements of the rows are total ones.
-        """
+        """Return rows in terms of the bodies' corners, with their prescribed motion. Collective."""
         if not self.bodies:
             return rows
         number = self.numbers_at(rows.nodes)
@@ -158,36 +136,34 @@ class RigidNodes:
         places, shift = self._state(bodies)
         nodal = self.nodes.values_at(np.hstack([places, shift]), rows.nodes[on])
         places, shift = np.split(nodal, 2, axis=1)
-        c, row = rows.coefficients[on], rows.row[on]
+        c, row = rows.coefficients[on], rows.row
         gap = rows.gap.copy()
-        np.subtract.at(gap, row, np.sum(c * shift, axis=1))
-        parts = [(rows.row[~on], rows.nodes[~on], rows.coefficients[~on])]
-        for k in range(len(self.bodies)):
-            mine = number[on] == k
-            parts.append(_at_corners(bodies.frames[k], row[mine], places[mine], c[mine]))
-        at, nodes, coefficients = (np.concatenate(column) for column in zip(*parts, strict=True))
-        order = np.argsort(at, kind="stable")
-        offsets = np.append(0, np.cumsum(np.bincount(at, minlength=rows.size)))
-        return replace(
-            rows, offsets=offsets, nodes=nodes[order], coefficients=coefficients[order], gap=gap
+        np.subtract.at(gap, row[on], np.sum(c * shift, axis=1))
+        offsets = np.append(0, np.cumsum(np.bincount(row[~on], minlength=rows.size)))
+        joined = replace(
+            rows,
+            offsets=offsets,
+            nodes=rows.nodes[~on],
+            coefficients=rows.coefficients[~on],
+            gap=gap,
         )
+        for k, frame in enumerate(bodies.frames[: len(self.bodies)]):
+            of_body = number[on] == k
+            joined = joined.with_terms(*frame.terms(row[on][of_body], places[of_body], c[of_body]))
+        return joined
 
     def relative_to_unknowns(
         self, displacement: Vector, bodies: RigidBodies, from_here: bool
     ) -> Vector:
-        """Return a displacement (n,) less what is not among the unknowns at rigid nodes.
-
-        Unknowns are total motions, or those from the places of the bodies.
-        """
+        """Return a displacement (n,) less what is not among the unknowns at rigid nodes."""
         if not self.bodies:
             return displacement
         shift = self._state(bodies)[1]
         if from_here:
             shift = np.zeros_like(self.x)
-            for k, place in enumerate(bodies.places[: len(self.bodies)]):
-                on = self.body == k
-                at = self._turned(k, place)
-                shift[on] = bodies.frames[k].displacements(bodies.ahead(k, True), at)
+            for frame, on in self._frames(bodies):
+                at = frame.turned_places(self.x[on])
+                shift[on] = frame.displacements(frame.ahead(True), at)
         return displacement - shift.ravel()
 
     def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
@@ -195,36 +171,31 @@ class RigidNodes:
         if not self.bodies:
             return uh
         values = self.nodes.values(uh)
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on = np.flatnonzero(self.body == k)
-            translation = place.motion[: self.nodes.components]
+        for frame, on in self._frames(bodies):
+            x, translation = self.x[on], frame.motion[: self.nodes.components]
             values[on] = (
-                bodies.frames[k].displacements(place.motion, self.x[on])
+                frame.displacements(frame.motion, x)
                 if is_small
-                else self._turned(k, place) + translation - self.x[on]
+                else frame.turned_places(x) + translation - x
             )
         uh.x.scatter_forward()
         return uh
 
     def resultants(self, force: Vector, bodies: RigidBodies) -> Vector:
-        """Return force and moment (bodies, modes) of nodal forces (owned, gdim). Collective.
-
-        Moments are about the reference points where the bodies are.
-        """
+        """Return forces and moments (bodies, modes) on the bodies of nodal forces. Collective."""
         modes = self.bodies[0].modes if self.bodies else 0
         sums = np.zeros((len(self.bodies), modes))
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on, at = self.body == k, self._turned(k, place)
+        for total, (frame, on) in zip(sums, self._frames(bodies), strict=True):
+            at = frame.turned_places(self.x[on])
             for mode, unit in enumerate(np.identity(modes)):
-                moved = bodies.frames[k].displacements(unit, at)
-                sums[k, mode] = np.sum(force[on] * moved)
+                total[mode] = np.sum(force[on] * frame.displacements(unit, at))
         self.nodes.comm.Allreduce(MPI.IN_PLACE, sums)
         return sums
 
-    def _turned(self, k: int, place: BodyPlace) -> Vector:
-        """Return the places (k, gdim) of a body's nodes now, less its translation."""
-        point = self.bodies[k].point
-        return point + place.turn(self.x[self.body == k] - point)
+    def _frames(self, bodies: RigidBodies) -> list[tuple[BodyFrame, Numbers]]:
+        """Return the frame of each body with its nodes of this rank."""
+        frames = bodies.frames[: len(self.bodies)]
+        return [(frame, np.flatnonzero(self.body == k)) for k, frame in enumerate(frames)]
 
     def _state(self, bodies: RigidBodies) -> tuple[Vector, Vector]:
         """Return where nodes are, less translations, and displacements that are no unknowns.
@@ -233,25 +204,9 @@ class RigidNodes:
         there.
         """
         places, shift = self.x.copy(), np.zeros_like(self.x)
-        for k, place in enumerate(bodies.places[: len(self.bodies)]):
-            on, frame = self.body == k, bodies.frames[k]
-            at = places[on] = self._turned(k, place)
-            now = at + place.motion[: self.nodes.components] - self.x[on]
+        for frame, on in self._frames(bodies):
+            at = places[on] = frame.turned_places(self.x[on])
+            now = at + frame.motion[: self.nodes.components] - self.x[on]
             given = frame.body.prescribed_motion
-            shift[on] = now + frame.displacements(given - place.motion, at)
+            shift[on] = now + frame.displacements(given - frame.motion, at)
         return places, shift
-
-
-def _at_corners(
-    frame: BodyFrame, row: Numbers, places: Vector, coefficients: Vector
-) -> tuple[Numbers, Numbers, Vector]:
-    """Return terms at places (t, gdim) of a body as terms at its corners: row, node, coefficients.
-
-    Each row has one term for each corner.
-    """
-    rows, position = np.unique(row, return_inverse=True)
-    corners, gdim = frame.corners.shape
-    terms = np.zeros((rows.size, corners, gdim))
-    weights = frame.weights(places)
-    np.add.at(terms, position.ravel(), weights[:, :, None] * coefficients[:, None, :])
-    return np.repeat(rows, corners), np.tile(frame.nodes, rows.size), terms.reshape(-1, gdim)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -37,10 +36,7 @@ class Roles:
     used: Contact  # the same object, or the pair with slave and master exchanged
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
     reason: str | None = None  # for the report, see `describe_roles`
-
-    def entries(self) -> dict[str, Any]:
-        """Return the entries of the report."""
-        return {"roles_ratio": self.ratio, "roles": self.reason}
+    are_decided: bool = False  # from the stiffness of the bodies
 
 
 def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
@@ -51,11 +47,9 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 
 
 def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
-    """Return E / h of the slave over that of the master; None for node pairs. Collective.
+    """Return E / h of the slave over that of the master, zero of a rigid one. Collective.
 
-    It is zero for a rigid master, which has no stiffness.
-
-    The `nodal_stiffness` says how stiff the bodies are.
+    It is None for node pairs. The `nodal_stiffness` says how stiff the bodies are.
     """
     if not pairing.is_mortar or pairing.master_surface is None:
         return None
@@ -66,10 +60,14 @@ def roles_ratio(pairing: ContactPairing, stiffness: Vector) -> float | None:
     return slave / master if master > 0.0 else 0.0
 
 
-def prefers_exchange(contact: ContactPair, ratio: float | None) -> bool:
+def may_exchange(contact: ContactPair) -> bool:
+    """Tell whether slave and master of a pair may be exchanged."""
+    return contact.roles == "auto" and one_sided_data(contact) is None
+
+
+def prefers_exchange(contact: ContactPair, ratio: float) -> bool:
     """Tell whether slave and master of a pair are to be exchanged, given the ratio of E / h."""
-    allowed = contact.roles == "auto" and one_sided_data(contact) is None
-    return allowed and ratio is not None and ratio > _EXCHANGE_RATIO
+    return may_exchange(contact) and ratio > _EXCHANGE_RATIO
 
 
 def exchanged(contact: ContactPair) -> ContactPair:
@@ -89,14 +87,14 @@ def one_sided_data(contact: ContactPair) -> str | None:
 
 
 def describe_roles(
-    contact: ContactPair, ratio: float | None, exchange: bool, obstacle: str | None
+    contact: ContactPair, ratio: float, exchange: bool = False, obstacle: str | None = None
 ) -> str | None:
     """Describe the choice of roles for the report; None where the given roles are good ones.
 
     The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
     ones.
     """
-    if ratio is None or ratio <= _EXCHANGE_RATIO:
+    if ratio <= _EXCHANGE_RATIO:
         return None
     fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
     if exchange:
@@ -116,7 +114,7 @@ def warn_of_roles(name: str, ratio: float) -> None:
             f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
             f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "
             "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
-            "data of the contact belong to the given slave",
+            "data of the contact belong to the given slave"
         )
 
 

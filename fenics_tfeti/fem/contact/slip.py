@@ -19,11 +19,12 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, row_values
 from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.result import FrictionResult
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
+from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -55,6 +56,20 @@ class NodalFriction:
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
 
+    def result(self, solution: TornSolution, sites: slice, area: Vector) -> FrictionResult:
+        """Return what a solution is at these sites, with the areas (k,) of the nodes."""
+        # on the slave forces are against the tangents
+        force, slip = solution.tangential_force[sites], solution.slip[sites]
+        slave_force = -np.einsum("kt,kta->ka", force, self.tangents)
+        return FrictionResult(
+            force=slave_force,
+            traction=slave_force / area[:, None],
+            bound=solution.slip_bound[sites],
+            slip=np.einsum("kt,kta->ka", slip, self.tangents),
+            sticking=solution.sticking[sites],
+            work=np.sum(force * slip, axis=1),
+        )
+
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:
     """Return orthonormal tangents (k, gdim - 1, gdim) at nodes with unit normals (k, gdim).
@@ -84,120 +99,68 @@ def nodal_friction(
     space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
 ) -> NodalFriction | None:
     """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
-    if contact.friction is None:
+    law, points, name = contact.friction, pairing.coordinates, pairing.name
+    if law is None:
         return None
-    nodes, points, name = pairing.slave, pairing.coordinates, pairing.name
-    law = contact.friction
-    values = _law_values(space, law, nodes, points, name)
+    values = _law_values(space, law, pairing.slave, points, name)
     is_tresca = isinstance(law, Tresca)
     fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
+    moved = np.zeros_like(pairing.normal)
+    if isinstance(contact, RigidObstacle) and contact.displacement is not None:
+        label, gdim = f"{name}: the obstacle's displacement", moved.shape[1]
+        moved = vectors_at(space.mesh.comm, contact.displacement, points, gdim, label)
     return NodalFriction(
         tangents(pairing.normal, fixed),
         np.where(is_tresca, values * pairing.area, 0.0),
         np.where(is_tresca, 0.0, values),
-        obstacle_motion(space, contact, points, name),
+        moved,
     )
 
 
 def _law_values(
     space: FunctionSpace, law: FrictionLaw, nodes: Numbers, points: Vector, name: str
 ) -> Vector:
-    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective.
-
-    The nodes (k,) are global ones, at vertices.
-    """
+    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective."""
     ((label, value),) = vars(law).items()
     label = f"{name}: {label}"
     comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
     with raise_collectively(comm):
         if isinstance(value, Function):
-            value = _nodal_values(space, value, nodes, label)
+            source = value.function_space
+            if source.mesh is not space.mesh:
+                raise InputError(f"{label} is a Function on another mesh than the displacement")
+            family, degree, shape = _compat.element_facts(source)
+            if (family, degree) != ("Lagrange", 1) or shape:
+                raise InputError(
+                    f"{label} is a Function of {family} elements of degree {degree} and shape "
+                    f"{shape}; a scalar one of Lagrange elements of degree 1 is expected"
+                )
+            value = value.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
     return scalars_at(comm, value, points, gdim, label, lowest=0.0)
-
-
-def _nodal_values(space: FunctionSpace, function: Function, nodes: Numbers, label: str) -> Vector:
-    source = function.function_space
-    if source.mesh is not space.mesh:
-        raise InputError(f"{label} is a Function on another mesh than the displacement")
-    family, degree, shape = _compat.element_facts(source)
-    if (family, degree) != ("Lagrange", 1) or shape:
-        raise InputError(
-            f"{label} is a Function of {family} elements of degree {degree} and shape {shape}; a "
-            "scalar one of Lagrange elements of degree 1 is expected"
-        )
-    values: Vector = function.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
-    return values
-
-
-def obstacle_motion(space: FunctionSpace, contact: Contact, points: Vector, name: str) -> Vector:
-    """Return an obstacle's displacement (k, gdim) at points (k, 3) [m]. Collective."""
-    gdim = space.dofmap.index_map_bs
-    motion = contact.displacement if isinstance(contact, RigidObstacle) else None
-    if motion is None:
-        return np.zeros((len(points), gdim))
-    label = f"{name}: the obstacle's displacement"
-    return vectors_at(space.mesh.comm, motion, points, gdim, label)
 
 
 def friction_rows(
     nodes: NodeMap,
     rows: ContactRows,
-    pairings: Sequence[ContactPairing],
-    friction: Sequence[NodalFriction | None],
-    origin: SlipOrigin,
+    sites: Sequence[tuple[Numbers, NodalFriction, Vector]],
+    origin: Vector,
 ) -> Friction:
-    """Return where the contact rows have friction, and from where slip is counted. Collective.
+    """Return where contact rows have friction, and from where slip is counted. Collective.
 
-    The rows are the conditions of all contacts, one contact after the other.
+    Of each contact with friction, the sites are positions among the rows (k,), the friction there,
+    and what the obstacle has moved (k, gdim) since the displacement of the origin (n,) [m].
     """
     gdim = nodes.components
-    first = np.cumsum([0, *(pairing.slave.size for pairing in pairings)])
-    parts = [
-        (first[k] + np.arange(pairing.slave.size), nodal, pairing, k)
-        for k, (pairing, nodal) in enumerate(zip(pairings, friction, strict=True))
-        if nodal is not None
-    ]
-    if not parts:
+    if not sites:
         return Friction.none(gdim)
     new = Friction(
-        np.concatenate([numbers for numbers, *_ in parts]),
-        np.concatenate([nodal.tangents for _, nodal, *_ in parts]),
-        np.concatenate([nodal.bound for _, nodal, *_ in parts]),
-        coefficient=np.concatenate([nodal.coefficient for _, nodal, *_ in parts]),
+        np.concatenate([numbers for numbers, _, _ in sites]),
+        np.concatenate([friction.tangents for _, friction, _ in sites]),
+        np.concatenate([friction.bound for _, friction, _ in sites]),
+        coefficient=np.concatenate([friction.coefficient for _, friction, _ in sites]),
     )
     tangential = new.tangential_rows(rows)
-    slip = row_values(nodes, tangential, origin.displacement).reshape(-1, gdim - 1)
+    slip = row_values(nodes, tangential, origin).reshape(-1, gdim - 1)
     slip /= tangential.length.reshape(-1, gdim - 1)
-    motion = np.concatenate(
-        [
-            nodal.obstacle_displacement - origin.obstacles.at(k, pairing.slave - nodes.first)
-            for _, nodal, pairing, k in parts
-        ]
-    )
-    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, motion))
-
-
-def friction_result(
-    friction: NodalFriction | None,
-    pairing: ContactPairing,
-    force: Vector,
-    slip: Vector,
-    sticking: Mask,
-    bound: Vector,
-) -> FrictionResult | None:
-    """Return the results of friction at the conditions of a contact; None without friction.
-
-    Forces on the slave are against the tangents (k, gdim - 1) [N], slips along them [m]; conditions
-    stick where the force is below its bound (k,) [N].
-    """
-    if friction is None:
-        return None
-    slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
-    return FrictionResult(
-        force=slave_force,
-        traction=slave_force / pairing.area[:, None],
-        bound=bound,
-        slip=np.einsum("kt,kta->ka", slip, friction.tangents),
-        sticking=sticking,
-        work=np.sum(force * slip, axis=1),
-    )
+    moved = np.concatenate([moved for _, _, moved in sites])
+    return replace(new, slip=slip + np.einsum("kta,ka->kt", new.tangents, moved))

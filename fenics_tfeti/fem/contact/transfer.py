@@ -26,16 +26,12 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class SolvedContact:
-    """The solution on the whole of a slave's surface, on every rank.
-
-    Values (n,) between vertices are interpolated.
-    """
+    """The solution on the whole of a slave's surface, on every rank."""
 
     name: str
     surface: SurfaceFacets
-    paired: Vector  # 1 at nodes that have a contact condition, 0 elsewhere
-    pressure: Vector  # [Pa]; 0 elsewhere
-    approach: Vector  # (u_slave - u_master)'n [m]; 0 elsewhere
+    # (n, 3): 1, the pressure [Pa] and (u_slave - u_master)'n [m]; 0 at nodes without condition
+    values: Vector
 
 
 def gather_solved(
@@ -46,52 +42,35 @@ def gather_solved(
     The messages grow with the surfaces, which are meant to be those of a coarse mesh.
     """
     displacement.x.scatter_forward()
-    return [
-        _gather_solved(*solution, displacement) for solution in zip(pairings, results, strict=True)
-    ]
-
-
-def _gather_solved(
-    pairing: ContactPairing, result: ContactResult, displacement: Function
-) -> SolvedContact:
-    nodes = pairing.surface.boundary.nodes
-    slave = pairing.surface.gathered(displacement)
-    relative = pairing.relative(nodes, nodes.values(displacement))
-    nodal_approach = np.sum(relative * pairing.normal, axis=1)
-    columns = (pairing.slave, result.pressure, nodal_approach)
-    conditioned, pressures, approaches = (concatenate_ranks(nodes.comm, c) for c in columns)
-    rows = np.searchsorted(slave.nodes, conditioned)
-    n = slave.nodes.size
-    paired, pressure, approach = np.zeros((3, n))
-    paired[rows], pressure[rows] = 1.0, pressures
-    approach[rows] = approaches
-    values = slave.from_corners(np.column_stack([paired, pressure, approach]))
-    return SolvedContact(pairing.name, slave, *values.T)
+    solved = []
+    for pairing, result in zip(pairings, results, strict=True):
+        nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered(displacement)
+        relative = pairing.relative(nodes, nodes.values(displacement))
+        approach = np.sum(relative * pairing.normal, axis=1)
+        columns = np.column_stack([np.ones_like(approach), result.pressure, approach])
+        conditioned, columns = (
+            concatenate_ranks(nodes.comm, column) for column in (pairing.slave, columns)
+        )
+        values = np.zeros((slave.nodes.size, 3))
+        values[np.searchsorted(slave.nodes, conditioned)] = columns
+        solved.append(SolvedContact(pairing.name, slave, slave.from_corners(values)))
+    return solved
 
 
 def expected_contact(
     solved: Sequence[SolvedContact], pairings: Sequence[ContactPairing]
 ) -> ContactGuess:
-    """Transfer forces and gaps to this rank's contact rows of another mesh, contact by contact.
-
-    The pairings are those of the same contacts on the present mesh.
-    """
-    guesses = [_transfer(*pair) for pair in zip(solved, pairings, strict=True)]
-    none = np.zeros(0)
-    force = np.concatenate([none, *(force for force, _ in guesses)])
-    return ContactGuess(force, np.concatenate([none, *(gap for _, gap in guesses)]))
-
-
-def _transfer(solved: SolvedContact, pairing: ContactPairing) -> tuple[Vector, Vector]:
-    """Return normal forces [N] and remaining gaps [m]; no force far from all paired nodes."""
-    values = np.column_stack([solved.paired, solved.pressure, solved.approach])
-    points = pairing.coordinates[:, : pairing.normal.shape[1]]
-    # the weight is the interpolated share of paired nodes
-    weight, pressure, approach = solved.surface.interpolate(values, points).T
-    near = weight > RELATIVE_ROUNDING
-    weight = np.where(near, weight, 1.0)
-    force = np.where(near, pressure / weight * pairing.area, 0.0)
-    return force, np.where(near, pairing.gap - approach / weight, np.inf)
+    """Transfer forces and gaps to this rank's conditions of the same contacts on another mesh."""
+    forces, gaps = [np.zeros(0)], [np.zeros(0)]
+    for coarse, pairing in zip(solved, pairings, strict=True):
+        points = pairing.coordinates[:, : pairing.normal.shape[1]]
+        # the weight is the interpolated share of paired nodes; far from all there is no force
+        weight, pressure, approach = coarse.surface.interpolate(coarse.values, points).T
+        near = weight > RELATIVE_ROUNDING
+        weight = np.where(near, weight, 1.0)
+        forces.append(np.where(near, pressure / weight * pairing.area, 0.0))
+        gaps.append(np.where(near, pairing.gap - approach / weight, np.inf))
+    return ContactGuess(np.concatenate(forces), np.concatenate(gaps))
 
 
 def check_coarse(coarse: TornSystem, present: TornSystem, method: str) -> None:

@@ -7,7 +7,7 @@ and f_i are sums of element matrices and vectors, which the compiled kernels of 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -15,18 +15,20 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.forms import PreparedForm, prepare_form
-from fenics_tfeti.fem.decomposition.parts import Part, find_equal, samples
+from fenics_tfeti.fem.decomposition.parts import Part, find_equal, number_parts, samples
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import batches, exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
+from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 logger = logging.getLogger(__name__)
 
@@ -36,12 +38,8 @@ _ENTRIES = 2**20
 _CELLS = 2**13
 
 
-@dataclass(frozen=True)
-class FormValues:
-    """Copies of the values of the coefficients and constants of a and L, to notice changes."""
-
-    bilinear: list[NDArray[np.float64]]
-    linear: list[NDArray[np.float64]]
+# copies of the values of the coefficients and constants of a and L, to notice changes
+FormValues = tuple[list[Vector], list[Vector]]
 
 
 @dataclass(frozen=True)
@@ -56,7 +54,7 @@ class PreparedForms:
         self,
         parts: Sequence[Part],
         known: Sequence[Subdomain] | None = None,
-        x: NDArray[np.float64] | None = None,
+        x: Vector | None = None,
     ) -> list[Subdomain]:
         """Assemble K_i and f_i of this rank's subdomains, or only f_i of known ones. Collective.
 
@@ -84,7 +82,7 @@ class PreparedForms:
             for part, j, load in zip(parts, first, loads, strict=True)
         ]
 
-    def loads(self, parts: Sequence[Part]) -> list[NDArray[np.float64]]:
+    def loads(self, parts: Sequence[Part]) -> list[Vector]:
         """Assemble f_i of this rank's subdomains."""
         block, ends = self.space.dofmap.index_map_bs, [0]
         cells, tables = [np.zeros(0, dtype=np.int32)], [np.zeros((0, 1), dtype=np.int32)]
@@ -104,17 +102,17 @@ class PreparedForms:
             load[first : first + added.size] += added
         return [load[block * i : block * j].copy() for i, j in pairwise(ends)]
 
-    def cell_matrices(self, cells: NDArray[np.int32]) -> NDArray[np.float64]:
+    def cell_matrices(self, cells: Indices) -> Vector:
         """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
         return self.bilinear.element_tensors(self.space, cells)
 
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
         with raise_collectively(self.space.mesh.comm):
-            return FormValues(self.bilinear.values(), self.linear.values())
+            return self.bilinear.values(), self.linear.values()
 
     def _stiffnesses(
-        self, parts: Sequence[Part], x: NDArray[np.float64]
+        self, parts: Sequence[Part], x: Vector
     ) -> tuple[list[int], dict[int, sp.csr_matrix]]:
         """Assemble one matrix for all parts with equal data; return the part that it is of."""
         form = self.bilinear
@@ -143,13 +141,13 @@ class PreparedForms:
         return pattern.matrix(data)
 
     def _sample_matrices(
-        self, parts: Sequence[Part], cells: Mapping[int, NDArray[np.int64]]
-    ) -> dict[int, NDArray[np.float64]]:
+        self, parts: Sequence[Part], cells: Mapping[int, Numbers]
+    ) -> dict[int, Vector]:
         """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
 
         `cells` are positions, for each of these parts.
         """
-        matrices, block = dict[int, NDArray[np.float64]](), self.space.dofmap.index_map_bs
+        matrices, block = dict[int, Vector](), self.space.dofmap.index_map_bs
         for i, rows in cells.items():
             part = parts[i]
             # in the order that cells of images have, too
@@ -165,10 +163,7 @@ class PreparedForms:
 
 
 def prepare_forms(
-    space: FunctionSpace,
-    a: ufl.Form,
-    L: ufl.Form,
-    compiler: _compat.CompilerOptions | None = None,
+    space: FunctionSpace, a: ufl.Form, L: ufl.Form, compiler: _compat.CompilerOptions | None = None
 ) -> PreparedForms:
     """Check and compile the user's forms on the displacement's space. Collective."""
     exterior = exterior_cell_facets(space.mesh)
@@ -179,18 +174,101 @@ def prepare_forms(
     )
 
 
-def same_values(
-    old: Sequence[NDArray[np.float64]], new: Sequence[NDArray[np.float64]], comm: MPI.Intracomm
-) -> bool:
+def same_values(old: Sequence[Vector], new: Sequence[Vector], comm: MPI.Intracomm) -> bool:
     """Tell whether values are unchanged on all ranks. Collective."""
     equal = all(np.array_equal(x, y) for x, y in zip(old, new, strict=True))
     return bool(comm.allreduce(equal, MPI.LAND))
 
 
-def _frame(part: Part, first: Part) -> NDArray[np.float64] | None:
+def _frame(part: Part, first: Part) -> Vector | None:
     """Return the matrix that turns the first part of a class to one of its members."""
     if part.rotation is first.rotation:
         return None
     if first.rotation is None:
         return part.rotation
     return first.rotation.T if part.rotation is None else part.rotation @ first.rotation.T
+
+
+class TornMesh:
+    """Subdomains of a mesh, by their cells; collective.
+
+    Those of rigid bodies are left out. The others are assembled again only where something changed.
+    Coordinates `x` (dofs, 3) are those of the blocked degrees of freedom [m].
+    """
+
+    def __init__(
+        self, forms: PreparedForms, bodies: Bodies, cells: list[Indices], x: Vector, timer: Timer
+    ) -> None:
+        self.forms, self._space, self._bodies, self._timer = forms, forms.space, bodies, timer
+        self._cells, self._rigid_cells = list[Indices](), list[Indices]()
+        for part in cells:
+            is_rigid = bodies.of_cell[part[0]] >= bodies.deformable
+            (self._rigid_cells if is_rigid else self._cells).append(part)
+        self.place_nodes(x)
+
+    def place_nodes(self, x: Vector) -> None:
+        """Take the nodes where they are now; all is assembled anew."""
+        with self._timer.phase("partition"):
+            self._parts = self._numbered(self._cells, x)
+            self._rigid_parts = self._numbered(self._rigid_cells, x)
+        self._values: FormValues | None = None  # with which the subdomains were assembled
+        self._subdomains: list[Subdomain] = []
+        # last: after an error above, the nodes count as moved in the next solve too
+        self._nodes, self._x = x, self._space.mesh.geometry.x.copy()
+
+    def _numbered(self, cells: Sequence[Indices], x: Vector) -> list[Part]:
+        bodies = [self._bodies.of_cell[part[0]] for part in cells]
+        return number_parts(self._space, cells, bodies, x)
+
+    @property
+    def subdomains(self) -> list[Subdomain]:
+        """The subdomains as they were assembled last."""
+        return list(self._subdomains)
+
+    def has_moved(self) -> bool:
+        """Tell whether nodes were moved since `place_nodes`."""
+        domain = self._space.mesh
+        return not same_values([self._x], [domain.geometry.x], domain.comm)
+
+    def assemble(self, release: Callable[[], None] | None = None) -> list[Subdomain]:
+        """Assemble what changed: the loads, or all after `release` of what the caller holds."""
+        comm, old, new = self._space.mesh.comm, self._values, self.forms.values()
+        self._values = None  # after an error all is assembled anew
+        if old is None or not same_values(old[0], new[0], comm):
+            self._subdomains = []
+            if release is not None:
+                release()
+            self._subdomains = self._assembled(None)
+            if old is None:
+                # most problems are assembled once
+                for part in self._parts:
+                    part.patterns.clear()
+        elif not same_values(old[1], new[1], comm):
+            self._subdomains = self._assembled(self._subdomains)
+        self._values = new
+        return self.subdomains
+
+    def _assembled(self, known: Sequence[Subdomain] | None) -> list[Subdomain]:
+        with self._timer.phase("assembly"):
+            return self.forms.subdomains(self._parts, known, self._nodes)
+
+    def matrices(self, forms: PreparedForms) -> list[sp.csr_matrix]:
+        """Return the matrices of other forms on the subdomains. Collective."""
+        with self._timer.phase("assembly"):
+            return [forms.stiffness(part) for part in self._parts]
+
+    def load(self, forms: PreparedForms | None = None) -> Vector:
+        """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
+        return self._load(forms or self.forms, self._parts)
+
+    def rigid_load(self) -> Vector:
+        """Return the load (nodes, gdim) on the cells of rigid bodies, as of `load`. Collective."""
+        return self._load(self.forms, self._rigid_parts)
+
+    def _load(self, forms: PreparedForms, parts: Sequence[Part]) -> Vector:
+        nodes = NodeMap(self._space)
+        with self._timer.phase("assembly"):
+            loads = forms.loads(parts)
+            at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in parts)]
+            values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
+            return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.decomposition.cell_graph import components
+from fenics_tfeti.fem.decomposition.bodies import components
 from fenics_tfeti.typing import Indices, Numbers, Points
 
 # variance along a coordinate axis, relative to the largest one, at which cuts are across that axis:

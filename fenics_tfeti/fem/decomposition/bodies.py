@@ -15,10 +15,9 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.cell_graph import cell_graph, components
-from fenics_tfeti.fem.topology import cell_facets, owned_cells, tags_of_cells
+from fenics_tfeti.fem.topology import cell_facets, global_numbers, owned_cells, tags_of_cells
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
-from fenics_tfeti.typing import Numbers
+from fenics_tfeti.typing import Indices, Numbers
 
 
 @dataclass(frozen=True)
@@ -50,14 +49,27 @@ def find_bodies(
     unordered, bodies = _global_components(domain, graph, tags)
     part = _global_components(domain, graph, np.zeros_like(tags))[0] if tagged else unordered
 
-    common, lowest = _common_values(domain, unordered, np.stack([tags, part], axis=1), bodies)
+    # the cells of each body of this rank one after the other
+    cells = np.argsort(unordered, kind="stable")
+    present, first = np.unique(unordered[cells], return_index=True)
+    common = np.full((bodies, 2), np.iinfo(np.int64).min)
+    common[unordered] = np.stack([tags, part], axis=1)
+    domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
+    lowest = np.full(bodies, np.iinfo(np.int64).max)
+    if present.size:
+        lowest[present] = np.minimum.reduceat(_compat.input_cells(domain)[cells], first)
+    domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
     is_rigid = np.isin(common[:, 0], list(rigid)) if tagged else np.zeros(bodies, dtype=bool)
     order = np.lexsort((lowest, common[:, 0], is_rigid))
     number = np.empty(bodies, dtype=np.int64)
     number[order] = np.arange(bodies)
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
-    names = _names(domain, of_cell, bodies, tag_of_body)
+    boxes = _bounding_boxes(domain, cells, first, number[present], bodies)
+    names = [
+        f"body {k}{'' if tag_of_body is None else f' (cell tag {tag_of_body[k]})'} in {box}"
+        for k, box in enumerate(boxes)
+    ]
     deformable = bodies - int(np.count_nonzero(is_rigid))
     return Bodies(of_cell, deformable, names, tag_of_body, common[order, 1], graph)
 
@@ -83,8 +95,7 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     cell_of = np.repeat(np.arange(owned), facets.shape[1])
     # facets with one owned cell: on the boundary of the mesh or between ranks
     single = np.bincount(flat, minlength=int(facet_of.max(initial=-1)) + 1)[flat] == 1
-    to_global = domain.topology.index_map(dim - 1).local_to_global
-    keys = np.asarray(to_global(flat[single].astype(np.int32)), dtype=np.int64)
+    keys = global_numbers(domain.topology.index_map(dim - 1), flat[single])
     cells = cell_of[single]
     order = np.argsort(keys)
     keys, label, tag = keys[order], component[cells][order], tags[cells][order]
@@ -99,46 +110,62 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     return number
 
 
-def _common_values(
-    domain: Mesh, body: Numbers, columns: Numbers, bodies: int
-) -> tuple[Numbers, Numbers]:
-    """Return for each body the columns, equal on all its cells, and its lowest input cell."""
-    numbers = _compat.input_cells(domain)
-    if numbers is None:
-        cells = np.arange(body.size, dtype=np.int32)
-        numbers = domain.topology.index_map(domain.topology.dim).local_to_global(cells)
-    common = np.full((bodies, columns.shape[1]), np.iinfo(np.int64).min)
-    lowest = np.full(bodies, np.iinfo(np.int64).max)
-    common[body] = columns
-    order = np.argsort(body, kind="stable")
-    present, first = np.unique(body[order], return_index=True)
-    if present.size:
-        lowest[present] = np.minimum.reduceat(np.asarray(numbers, dtype=np.int64)[order], first)
-    domain.comm.Allreduce(MPI.IN_PLACE, common, MPI.MAX)
-    domain.comm.Allreduce(MPI.IN_PLACE, lowest, MPI.MIN)
-    return common, lowest
+def _bounding_boxes(
+    domain: Mesh, cells: Numbers, first: Numbers, present: Numbers, bodies: int
+) -> list[str]:
+    """Write the bounding boxes of bodies, of which some are present on this rank. Collective.
 
-
-def _names(domain: Mesh, body: Numbers, bodies: int, tags: Numbers | None) -> list[str]:
-    """Name the bodies by number, tag and bounding box."""
-    gdim = domain.geometry.dim
-    low = np.full((bodies, gdim), np.inf)
+    Their cells follow each other, from a first one for each.
+    """
+    low = np.full((bodies, domain.geometry.dim), np.inf)
     high = -low
-    order = np.argsort(body, kind="stable")
-    present, first = np.unique(body[order], return_index=True)
-    nodes = _compat.geometry_cells(domain)[order]
+    nodes = _compat.geometry_cells(domain)[cells]
     # by component: reductions over long columns are faster than those over short rows
-    for k in range(gdim if present.size else 0):
+    for k in range(domain.geometry.dim if present.size else 0):
         x = domain.geometry.x[:, k][nodes.ravel()]
         low[present, k] = np.minimum.reduceat(x, first * nodes.shape[1])
         high[present, k] = np.maximum.reduceat(x, first * nodes.shape[1])
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
-    names = []
-    for number in range(bodies):
-        label = "" if tags is None else f" (cell tag {tags[number]})"
-        box = " x ".join(
-            f"[{a:.4g}, {b:.4g}]" for a, b in zip(low[number], high[number], strict=True)
-        )
-        names.append(f"body {number}{label} in {box}")
-    return names
+    return [
+        " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(*box, strict=True))
+        for box in zip(low, high, strict=True)
+    ]
+
+
+# -- the graph of the cells ---------------------------------------------------------------------
+
+
+def cell_graph(domain: Mesh) -> sp.csr_matrix:
+    """Return the adjacency matrix of the cells that this rank owns, through common facets."""
+    facet_of = cell_facets(domain)
+    owned = owned_cells(domain)
+    facets = facet_of[:owned]
+    incidence = sp.csr_matrix(
+        (
+            np.ones(facets.size, dtype=np.int32),
+            (np.repeat(np.arange(owned), facets.shape[1]), facets.ravel()),
+        ),
+        shape=(owned, int(facet_of.max(initial=-1)) + 1),
+    )
+    graph = (incidence @ incidence.T).tocsr()
+    graph.setdiag(0)
+    graph.eliminate_zeros()
+    return graph
+
+
+def components(graph: sp.csr_matrix, label: Numbers) -> tuple[int, Numbers]:
+    """Return the number of connected components of equal labels, and the component of each cell."""
+    equal = np.repeat(label, np.diff(graph.indptr)) == label[graph.indices]
+    ends = np.append(0, np.cumsum(equal))[graph.indptr]
+    # SciPy would convert other data to float
+    cut = sp.csr_matrix((np.ones(ends[-1]), graph.indices[equal], ends), shape=graph.shape)
+    number, component = connected_components(cut, directed=False)
+    return int(number), component
+
+
+def groups(label: Numbers) -> list[Indices]:
+    """Return the positions of each label, ascending, by ascending label."""
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    cuts = np.flatnonzero(np.diff(label[order])) + 1
+    return [group for group in np.split(order, cuts) if group.size]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,7 +18,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import cell_facets, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Indices, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 # geometric quantities of UFL that a translation does not change
 _TRANSLATION_INVARIANT = (
@@ -36,6 +35,8 @@ _TRANSLATION_INVARIANT = (
     geometry.MinCellEdgeLength,
     geometry.MinFacetEdgeLength,
 )
+# UFL's measures by the kind of their integrals
+_MEASURES = {"cell": "dx", "exterior_facet": "ds"}
 # in place of a tag, where the form is not integrated
 _NO_TAG = np.iinfo(np.int64).min
 
@@ -45,38 +46,31 @@ class PreparedForm:
     """A compiled form, with the tags of its integrals on the user's cells and facets."""
 
     name: str  # for messages
-    rank: int  # number of arguments
+    form: ufl.Form  # whose integrals all name their tags
     compiled: _compat.CompiledForm
-    coefficients: list[Function]
-    constants: list[Any]
-    cell_tag: Numbers | None  # (cells,), where the form has integrals over cells
-    facet_tag: Numbers | None  # (cells, facets of a cell), on the mesh's boundary only
-    cell_ids: list[int]  # tags that the form's integrals name
-    facet_ids: list[int]
+    ids: dict[str, list[int]]  # the tags that integrals name, by kind of integral
+    tags: dict[str, Numbers]  # tag of each cell (m,), and of each facet of it (m, f)
     translation_invariant: bool  # a translated cell has the same element matrix
 
-    def integrated(self, cells: Indices) -> NDArray[np.bool_]:
+    def integrated(self, cells: Indices) -> Mask:
         """Tell which of some of this rank's cells the form has integrals over, or over facets."""
         mask = np.zeros(cells.size, dtype=bool)
-        if self.cell_tag is not None:
-            mask |= np.isin(self.cell_tag[cells], self.cell_ids)
-        if self.facet_tag is not None:
-            mask |= np.isin(self.facet_tag[cells], self.facet_ids).any(axis=1)
+        for kind, tags in self.tags.items():
+            listed = np.isin(tags[cells], self.ids[kind])
+            mask |= listed.any(axis=tuple(range(1, listed.ndim)))
         return mask
 
     def element_tensors(self, space: FunctionSpace, cells: Indices) -> Vector:
         """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
         n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
-        tensors = np.zeros((cells.size, *(n,) * self.rank))
+        tensors = np.zeros((cells.size, *(n,) * len(self.form.arguments())))
         values = [_values_of_cells(w, cells) for w in self.compiled.coefficients]
         flat = [v.reshape(cells.size, -1) for v in values]
         coefficients = np.hstack([np.zeros((cells.size, 0)), *flat])
         domain = space.mesh
         coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
         for kind, tag, kernel in self.compiled.integrals:
-            tags = self.cell_tag if kind == "cell" else self.facet_tag
-            assert tags is not None  # there are integrals of this kind
-            rows, *facet = np.nonzero(tags[cells] == tag)
+            rows, *facet = np.nonzero(self.tags[kind][cells] == tag)
             facets = facet[0].astype(np.int32) if facet else None
             if rows.size:
                 self.compiled.add_element_tensors(
@@ -84,23 +78,22 @@ class PreparedForm:
                 )
         return tensors
 
-    def values(self) -> list[NDArray[np.float64]]:
+    def values(self) -> list[Vector]:
         """Return copies of the coefficients' and constants' present values; NaN is an error."""
-        _check_values(self.name, self.coefficients, self.constants)
-        coefficients = [np.array(w.x.array, dtype=float) for w in self.coefficients]
-        return coefficients + [np.array(c.value, dtype=float) for c in self.constants]
+        _check_values(self.name, self.form)
+        coefficients = [np.array(w.x.array, dtype=float) for w in self.form.coefficients()]
+        return coefficients + [np.array(c.value, dtype=float) for c in self.form.constants()]
 
     def cell_data(self) -> list[NDArray[Any]]:
         """Return tags and coefficients (cells, ...) by which the element matrices may differ."""
-        tags = [values for values in (self.cell_tag, self.facet_tag) if values is not None]
-        return [*tags, *(_values_of_cells(w) for w in self.coefficients)]
+        return [*self.tags.values(), *map(_values_of_cells, self.form.coefficients())]
 
 
 def prepare_form(
     space: FunctionSpace,
     form: ufl.Form,
     name: str,
-    exterior: NDArray[np.bool_],
+    exterior: Mask,
     compiler: _compat.CompilerOptions | None = None,
 ) -> PreparedForm:
     """Check and compile a form, and look up the tags of its measures. Collective.
@@ -109,45 +102,28 @@ def prepare_form(
     owned cells that are on the boundary of the mesh.
     """
     domain = space.mesh
-    kinds = ("cell", "exterior_facet")
-    cell_ids, facet_ids = (_tagged_ids(form, kind) for kind in kinds)
+    ids = {kind: _tagged_ids(form, kind) for kind in _MEASURES}
     with raise_collectively(domain.comm):
         _check_integrals(form, name)
         _check_coefficients(form, name, domain)
-        cell_data, facet_data = (_subdomain_data(form, kind, name) for kind in kinds)
-        _check_tags(cell_data, "cell", cell_ids, name, domain)
-        _check_tags(facet_data, "exterior_facet", facet_ids, name, domain)
+        data = {kind: _subdomain_data(form, kind, ids[kind], name, domain) for kind in _MEASURES}
 
     owned, facet_of = owned_cells(domain), cell_facets(domain)
-    cells = np.arange(len(facet_of)) < owned
     facets = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
     facets[facet_of[:owned][exterior]] = True
-    _check_used(domain, cell_data, cells, cell_ids, f"the {name} has dx")
-    _check_used(domain, facet_data, facets, facet_ids, f"the {name} has ds")
-    cell_tag = facet_tag = None
-    if _has(form, "cell"):
-        tags = _dense_tags(cell_data, owned, cell_ids)
-        form, cell_ids, cell_tag = _tag_everywhere(form, "cell", cell_ids, tags)
-    if _has(form, "exterior_facet"):
-        tags = _dense_tags(facet_data, facets.size, facet_ids)
-        form, facet_ids, tags = _tag_everywhere(form, "exterior_facet", facet_ids, tags)
-        facet_tag = np.where(exterior, tags[facet_of[:owned]], _NO_TAG)
-    return PreparedForm(
-        name,
-        len(form.arguments()),
-        _compat.CompiledForm(form, domain.comm, compiler),
-        list(form.coefficients()),
-        list(form.constants()),
-        cell_tag,
-        facet_tag,
-        cell_ids,
-        facet_ids,
-        _is_translation_invariant(form),
-    )
-
-
-def _has(form: ufl.Form, kind: str) -> bool:
-    return any(integral.integral_type() == kind for integral in form.integrals())
+    entities = {"cell": np.ones(owned, dtype=bool), "exterior_facet": facets}
+    tags = {}
+    for kind, integrated in entities.items():
+        _check_used(domain, data[kind], integrated, ids[kind], f"the {name} has {_MEASURES[kind]}")
+        if any(integral.integral_type() == kind for integral in form.integrals()):
+            dense = _dense_tags(data[kind], integrated.size, ids[kind])
+            form, ids[kind], tags[kind] = _tag_everywhere(form, kind, ids[kind], dense)
+    if "exterior_facet" in tags:
+        tags["exterior_facet"] = np.where(
+            exterior, tags["exterior_facet"][facet_of[:owned]], _NO_TAG
+        )
+    compiled = _compat.CompiledForm(form, domain.comm, compiler)
+    return PreparedForm(name, form, compiled, ids, tags, _is_translation_invariant(form))
 
 
 def _is_translation_invariant(form: ufl.Form) -> bool:
@@ -162,7 +138,7 @@ def _is_translation_invariant(form: ufl.Form) -> bool:
 def _check_integrals(form: ufl.Form, name: str) -> None:
     for integral in form.integrals():
         kind = integral.integral_type()
-        if kind not in ("cell", "exterior_facet"):
+        if kind not in _MEASURES:
             raise InputError(
                 f"the {name} has an integral over {kind}; only dx and ds are supported, since "
                 "subdomains are torn from each other"
@@ -182,17 +158,17 @@ def _check_coefficients(form: ufl.Form, name: str, domain: Mesh) -> None:
                 "discontinuous Lagrange of any degree, or Lagrange of degree 1 or 2: interpolate "
                 "it into such a space"
             )
-    _check_values(name, form.coefficients(), form.constants())
+    _check_values(name, form)
 
 
-def _check_values(name: str, coefficients: Sequence[Function], constants: Sequence[Any]) -> None:
-    for number, coefficient in enumerate(coefficients):
+def _check_values(name: str, form: ufl.Form) -> None:
+    for number, coefficient in enumerate(form.coefficients()):
         bad = np.count_nonzero(~np.isfinite(coefficient.x.array))
         if bad:
             raise InputError(
                 f"{_label(number, coefficient, name)} has {bad} values that are NaN or infinite"
             )
-    for number, constant in enumerate(constants):
+    for number, constant in enumerate(form.constants()):
         if not np.isfinite(constant.value).all():
             raise InputError(
                 f"constant {number} of the {name} is NaN or infinite: {constant.value}"
@@ -215,26 +191,19 @@ def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
     return sorted(ids)
 
 
-def _subdomain_data(form: ufl.Form, kind: str, name: str) -> Any:
-    """Return the tags that the measures of one kind have; None without any."""
+def _subdomain_data(form: ufl.Form, kind: str, ids: list[int], name: str, domain: Mesh) -> Any:
+    """Return the tags that the measures of one kind have, checked; None without any."""
     data = [i.subdomain_data() for i in form.integrals() if i.integral_type() == kind]
     different = list({id(tags): tags for tags in data if tags is not None}.values())
+    measure, dim = _MEASURES[kind], domain.topology.dim - (kind != "cell")
     if len(different) > 1:
-        measure = {"cell": "dx", "exterior_facet": "ds"}[kind]
         raise InputError(
             f"the {name} has {len(different)} different subdomain_data for {measure}: join their "
             "tags in one, since a form has one for each kind of integral"
         )
-    return different[0] if different else None
-
-
-def _check_tags(tags: Any, kind: str, ids: list[int], name: str, domain: Mesh) -> None:
-    measure, dim = {
-        "cell": ("dx", domain.topology.dim),
-        "exterior_facet": ("ds", domain.topology.dim - 1),
-    }[kind]
+    tags = different[0] if different else None
     if not ids:
-        return
+        return tags
     if tags is None or not hasattr(tags, "find"):
         raise InputError(
             f"the {name} has {measure}({ids[0]}), but the measure has no mesh tags: use "
@@ -250,18 +219,18 @@ def _check_tags(tags: Any, kind: str, ids: list[int], name: str, domain: Mesh) -
             f"the subdomain_data of {measure} in the {name} are tags of another mesh than the "
             "displacement"
         )
+    return tags
 
 
-def _check_used(
-    domain: Mesh, tags: Any, integrated: NDArray[np.bool_], ids: list[int], which: str
-) -> None:
+def _check_used(domain: Mesh, tags: Any, integrated: Mask, ids: list[int], which: str) -> None:
     """Check that each tag that a form names is on some of the cells or facets. Collective.
 
     `integrated` tells which of this rank's cells or facets integrals are over; others do not count.
     """
     if not ids:
         return
-    present = np.unique(tags.values[integrated[tags.indices]])
+    inside = tags.indices < integrated.size  # not those of ghosts
+    present = np.unique(tags.values[inside][integrated[tags.indices[inside]]])
     present = np.unique(concatenate_ranks(domain.comm, present))
     missing = np.setdiff1d(ids, present)
     if missing.size:
@@ -303,9 +272,7 @@ def _tag_everywhere(
     return form, ids_of_form, tags
 
 
-def _values_of_cells(
-    function: Function, cells: Indices | slice = slice(None)
-) -> NDArray[np.float64]:
+def _values_of_cells(function: Function, cells: Indices | slice = slice(None)) -> Vector:
     """Return a coefficient's values (cells, v, block) on some cells of this rank, or on all."""
     space = function.function_space
     values = function.x.array.reshape(-1, space.dofmap.index_map_bs)

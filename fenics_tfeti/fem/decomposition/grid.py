@@ -53,7 +53,11 @@ def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
 def _indices(points: Points) -> Numbers:
     """Return for each point and axis the number of different smaller coordinates."""
     tolerance = RELATIVE_ROUNDING * np.ptp(points, axis=0).max()
-    return np.stack([_grid_index(x, tolerance) for x in points.T], axis=1)
+    index = np.empty(points.shape, dtype=np.int64)
+    for axis, x in enumerate(points.T):
+        order = np.argsort(x)
+        index[order, axis] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > tolerance)
+    return index
 
 
 def _combinations(index: Numbers) -> float:
@@ -74,14 +78,6 @@ def block_of_cells(grid: Grid, nodes: float) -> Numbers:
     index = [(grid.cell[:, axis] * count) // grid.cells[axis] for axis, count in enumerate(counts)]
     block: Numbers = np.ravel_multi_index(tuple(index), tuple(counts))
     return block
-
-
-def _grid_index(x: Points, tolerance: float) -> Numbers:
-    """Return for each coordinate the number of different smaller ones."""
-    order = np.argsort(x)
-    index = np.empty(x.size, dtype=np.int64)
-    index[order] = np.cumsum(np.diff(x[order], prepend=x[order[:1]]) > tolerance)
-    return index
 
 
 def _blocks_along(cells: int, target: float) -> int:

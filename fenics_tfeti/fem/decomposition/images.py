@@ -48,7 +48,9 @@ def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Num
         distance, order = tree.query(y @ rotation.T)
         if distance.max() > tolerance or np.unique(order).size < order.size:
             continue
-        rotation = _nearest_orthogonal(x[order].T @ y)
+        left, _, right = np.linalg.svd(x[order].T @ y)
+        rotation = left @ right  # the nearest orthogonal matrix
+        rotation[np.abs(rotation) < _ZERO] = 0.0
         if np.abs(x[order] - y @ rotation.T).max() <= COORDINATE_ROUNDING * largest:
             yield rotation, order
 
@@ -102,9 +104,3 @@ def _basis(vectors: Points) -> Points:
     f = vectors[1] - (vectors[1] @ e) * e
     f /= np.linalg.norm(f)
     return np.array([e, f, np.cross(e, f)])
-
-
-def _nearest_orthogonal(matrix: Points) -> Points:
-    left, _, right = np.linalg.svd(matrix)
-    rotation: Points = left @ right
-    return np.where(np.abs(rotation) < _ZERO, 0.0, rotation)

@@ -15,8 +15,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bisection import bisect
-from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.decomposition.cell_graph import components, connected_groups, groups
+from fenics_tfeti.fem.decomposition.bodies import Bodies, components, groups
 from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
@@ -104,7 +103,7 @@ def as_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[I
             )
     distinct, number = np.unique(label, return_inverse=True)
     body_and_label = bodies.of_cell * distinct.size + number
-    subdomains = connected_groups(bodies.graph, body_and_label, np.arange(owned, dtype=np.int32))
+    subdomains = groups(components(bodies.graph, body_and_label)[1])
     if len(subdomains) > np.unique(body_and_label).size:
         logger.info(
             "rank %d: %d subdomain labels gave %d connected subdomains",

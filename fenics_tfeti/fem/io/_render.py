@@ -27,17 +27,15 @@ OUTLINE = "#8a9099"
 DPI = 200
 
 
-def build_grid(data: Any) -> pyvista.UnstructuredGrid:
-    """Return the undeformed mesh with its colours."""
-    cells = data["cells"]
-    rows = np.column_stack([np.full(len(cells), cells.shape[1]), cells])
-    types = np.full(len(cells), data["vtk_type"], dtype=np.uint8)
-    grid = pyvista.UnstructuredGrid(rows.ravel(), types, data["points"])
-    colours = data["colours"]
-    target = grid.cell_data if len(colours) == len(cells) else grid.point_data
-    target["colours"] = colours
-    grid.point_data["displacement"] = data["displacement"]
-    return grid
+def build_surface(data: Any) -> pyvista.PolyData:
+    """Return the undeformed outer faces with their colours."""
+    faces, colours = data["faces"], data["colours"]
+    rows = np.column_stack([np.full(len(faces), faces.shape[1]), faces])
+    surface = pyvista.PolyData(data["points"], rows.ravel())
+    target = surface.point_data if colours.ndim == 1 else surface.cell_data
+    target["colours"] = colours.ravel()
+    surface.point_data["displacement"] = data["displacement"]
+    return surface
 
 
 def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
@@ -60,7 +58,7 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
 def render_mesh(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
     """Return an image (height, width, 3) of the deformed mesh on white, without margins."""
     most_outlined = 20_000  # the lines between more faces would hide the colours
-    surface = build_grid(data).extract_surface(algorithm="dataset_surface")
+    surface = build_surface(data)
     edges = sharp_edges(surface)
     deformed, deformed_edges = (part.copy() for part in (surface, edges))
     for part in (deformed, deformed_edges):
@@ -130,7 +128,7 @@ def main(data_path: str, picture_path: str) -> None:
     """Draw the picture."""
     with np.load(data_path) as file:
         data = dict(file)
-    low, high = np.min(data["colours"]), np.max(data["colours"])
+    low, high = data["limits"]
     if high - low <= 1e-12 * max(abs(low), abs(high)):  # the colour bar needs an interval
         low, high = low - 0.5 * (abs(low) or 1), high + 0.5 * (abs(high) or 1)
     limits = (float(low), float(high))

@@ -11,7 +11,6 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
-from xml.sax.saxutils import quoteattr
 
 from mpi4py import MPI
 
@@ -28,14 +27,6 @@ from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
 from fenics_tfeti.feti.files.arrays import folder_of
 from fenics_tfeti.parallel import raise_collectively
-
-_COLLECTION = """<?xml version="1.0"?>
-<VTKFile type="Collection" version="0.1">
-  <Collection>
-{}
-  </Collection>
-</VTKFile>
-"""
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
@@ -79,11 +70,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
         ratio = Constant(mesh, float(poisson_ratio or 0.0))
         normal = ratio * ufl.tr(stress)
         stress = ufl.as_tensor(
-            [
-                [stress[0, 0], stress[0, 1], 0],
-                [stress[1, 0], stress[1, 1], 0],
-                [0, 0, normal],
-            ]
+            [[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, normal]]
         )
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)
@@ -216,14 +203,11 @@ def _move_files(
     _compat.list_pieces(index, pieces)
     collection = folder / "collection.pvd"
     steps = [*earlier, (time, f"{path.stem}{step}.pvtu")]
-    collection.write_text(
-        _COLLECTION.format(
-            "\n".join(
-                f'    <DataSet timestep="{time!r}" part="0" file={quoteattr(name)} />'
-                for time, name in steps
-            )
-        )
-    )
+    root = ElementTree.Element("VTKFile", type="Collection", version="0.1")
+    listed = ElementTree.SubElement(root, "Collection")
+    for at, name in steps:
+        ElementTree.SubElement(listed, "DataSet", timestep=repr(float(at)), part="0", file=name)
+    ElementTree.ElementTree(root).write(collection, encoding="utf-8", xml_declaration=True)
     targets = {next((folder / str(rank)).glob("*.vtu")): pieces[rank] for rank in range(ranks)}
     targets |= {index: steps[-1][1], collection: path.name}
     for name in targets.values():

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
-from contextlib import ExitStack
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +18,6 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io._gmsh_session import import_gmsh, opened_file
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
@@ -26,6 +27,8 @@ _log = logging.getLogger(__name__)
 
 # Gmsh's names of entities, by dimension
 _ENTITY = ("point", "curve", "surface", "volume")
+# the point of the last double click on a graph of the graphical interface
+_UNUSED_OPTION = "PostProcessing.DoubleClickedGraphPointX"
 
 
 def read_msh(
@@ -76,13 +79,13 @@ def read_msh(
     """
     path = Path(path)
     with raise_collectively(comm):
-        gmsh = import_gmsh()
+        gmsh = _import_gmsh()
     with ExitStack() as session:
         names: dict[str, int] = {}
         tagged_facets = 0
         with raise_collectively(comm):
             if comm.rank == 0:
-                session.enter_context(opened_file(gmsh, path))
+                session.enter_context(_opened_file(gmsh, path))
                 names, tagged_facets = _prepare(gmsh.model, path, gdim)
         names, tagged_facets = comm.bcast((names, tagged_facets))
         mesh, cell_tags, facet_tags = _compat.gmsh_model_to_mesh(gmsh.model, comm, gdim)
@@ -281,3 +284,101 @@ def _names(model: Any, groups: list[tuple[int, int]], path: Path) -> dict[str, i
         tags = named.pop(name)
         _log.warning("%s: the groups %s share the name '%s'; use numbers", path, sorted(tags), name)
     return {name: tags.pop() for name, tags in named.items()}
+
+
+# -- sessions of Gmsh, without effect on the user's own ----------------------------------------
+
+
+def _import_gmsh() -> Any:
+    """Import the Python module of Gmsh, and keep the handler of Ctrl-C that it may replace."""
+    try:
+        with _interrupt_handler_kept():
+            import gmsh
+    except (ImportError, OSError) as error:  # OSError: its shared library is missing
+        raise ImportError(
+            f"reading a .msh file needs the Python module gmsh ({error}); install it with "
+            "'apt install python3-gmsh' (Debian, Ubuntu) or 'pip install gmsh'"
+        ) from error
+    return gmsh
+
+
+@contextmanager
+def _opened_file(gmsh: Any, path: Path) -> Iterator[None]:
+    """Open a mesh file as the current Gmsh model; close it and restore Gmsh's state at the end."""
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"there is no mesh file '{path}' (looked in {Path.cwd()}); check the path, or make "
+            "the file with Gmsh first"
+        )
+    with path.open("rb") as file:
+        if not file.read(1024).lstrip().startswith(b"$"):
+            raise InputError(f"{path} is not a Gmsh mesh file: it does not start with $MeshFormat")
+    with _session(gmsh):
+        gmsh.model.add("fenics_tfeti.read_msh")
+        try:
+            gmsh.merge(str(path))
+        except Exception as error:  # Gmsh raises no class of its own
+            raise InputError(
+                f"Gmsh cannot read {path} ({error}); save it again as a mesh of version 4.1, or "
+                "update Gmsh"
+            ) from error
+        yield
+
+
+@contextmanager
+def _session(gmsh: Any) -> Iterator[None]:
+    """Open a Gmsh session without terminal output, or use the user's and restore its state."""
+    with _interrupt_handler_kept():
+        opened_here = _open(gmsh)
+        terminal = gmsh.option.getNumber("General.Terminal")
+        current = gmsh.model.getCurrent()
+        models = len(gmsh.model.list())
+        gmsh.option.setNumber("General.Terminal", 0)
+        try:
+            yield
+        finally:
+            if opened_here:
+                gmsh.finalize()
+            else:
+                if len(gmsh.model.list()) > models:
+                    gmsh.model.remove()
+                gmsh.model.setCurrent(current)
+                gmsh.option.setNumber("General.Terminal", terminal)
+
+
+def _open(gmsh: Any) -> bool:
+    """Open a session if the user has none; tell whether it did."""
+    if hasattr(gmsh, "isInitialized"):
+        if gmsh.isInitialized():
+            return False
+        gmsh.initialize(readConfigFiles=False)
+        return True
+    # Gmsh 4.8 may end the process when it is asked anything outside a session, and does not take
+    # the arguments if a session is open: an option that nobody sets tells whether it took them
+    with _stderr_closed():
+        gmsh.initialize(["gmsh", "-setnumber", _UNUSED_OPTION, "1"], readConfigFiles=False)
+    return bool(gmsh.option.getNumber(_UNUSED_OPTION) == 1)
+
+
+@contextmanager
+def _interrupt_handler_kept() -> Iterator[None]:
+    """Restore the handler of Ctrl-C, which Gmsh replaces by one that ends the process."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
+
+
+@contextmanager
+def _stderr_closed() -> Iterator[None]:
+    """Discard what a C library writes to the standard error stream."""
+    copy = os.dup(2)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(copy, 2)
+        os.close(copy)

@@ -17,23 +17,17 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_corners
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
-from fenics_tfeti.fem.messages import raise_where
-from fenics_tfeti.fem.topology import cell_facets, cell_type, owned_cells
-from fenics_tfeti.parallel import (
-    Directory,
-    concatenate_ranks,
-    first_of_rank,
-    raise_collectively,
-)
+from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.topology import cell_facets, cell_type, global_numbers, owned_cells
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 _UNTAGGED = int(np.iinfo(np.int32).min)
@@ -127,29 +121,19 @@ def _on_first_side(mesh: Mesh, cell: Numbers, facet: Numbers, opening: _Opening)
 
     The plane's normal points upwards: its largest component is positive.
     """
-    kind, gdim = cell_type(mesh), mesh.geometry.dim
-    nodes = _compat.geometry_cells(mesh)[cell]
-    corners = np.array([corners[:gdim] for corners in kind.facets], dtype=np.int64)[facet]
-    x = mesh.geometry.x[:, :gdim]
-    points = x[np.take_along_axis(nodes, corners, axis=1)]
-    normal = facet_normals(points)
-    inside = x[nodes[:, : kind.vertices]].mean(axis=1) - points.mean(axis=1)
-    normal *= -np.sign(np.sum(normal * inside, axis=1))[:, None]
+    points = mesh.geometry.x[oriented_corners(mesh, cell, facet), : mesh.geometry.dim]
+    normal = corner_normals(points).sum(axis=1)
     every = concatenate_ranks(mesh.comm, normal)
     # the squares add up for both sides
     up = np.linalg.eigh(every.T @ every)[1][:, -1]
     up = up * np.sign(up[np.argmax(np.abs(up))])
     cosine = normal @ up / np.linalg.norm(normal, axis=1)
-    raise_where(
-        mesh.comm,
-        np.abs(cosine) < 0.5,
-        points.mean(axis=1),
-        lambda number, place: (
-            f"{number} of the {opening} are far from the plane of the others, the first around "
-            f"{place}: tag the cells on one side of the cut differently, then the sides can be "
+    if bad := first_wrong(mesh.comm, np.abs(cosine) < 0.5, points.mean(axis=1)):
+        raise InputError(
+            f"{bad.number} of the {opening} are far from the plane of the others, the first around "
+            f"{bad.place}: tag the cells on one side of the cut differently, then the sides can be "
             "told apart"
-        ),
-    )
+        )
     below: Mask = cosine > 0.0
     return below
 
@@ -242,32 +226,25 @@ class _FacetSides:
         mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
         local = cell_facets(mesh)[:owned]
         facet_map = mesh.topology.index_map(mesh.topology.dim - 1)
-        facet = _to_global(facet_map, local)
+        facet = global_numbers(facet_map, local)
         cell_tag = np.full(owned, _UNTAGGED, dtype=np.int64)
         on_owned = tagged.cell_tags.indices < owned
         cell_tag[tagged.cell_tags.indices[on_owned]] = tagged.cell_tags.values[on_owned]
 
         directory = Directory(mesh.comm, np.unique(facet))
         keys, values = directory.collect(facet.ravel(), np.repeat(cell_tag, facet.shape[1]))
-        limits = np.iinfo(np.int64)
-        low = np.full(directory.keys.size, limits.max)
-        high = np.full(directory.keys.size, limits.min)
-        np.minimum.at(low, directory.position(keys), values)
-        np.maximum.at(high, directory.position(keys), values)
-        cells = np.bincount(directory.position(keys), minlength=directory.keys.size)
+        order = np.lexsort((values, keys))
+        first = np.searchsorted(keys[order], directory.keys)
+        last = np.searchsorted(keys[order], directory.keys, side="right") - 1
+        low, high = values[order[first]], values[order[last]]
         tag = np.full(directory.keys.size, _UNTAGGED, dtype=np.int64)
         keys, values = directory.collect(
-            _to_global(facet_map, tagged.facet_tags.indices),
+            global_numbers(facet_map, tagged.facet_tags.indices),
             tagged.facet_tags.values.astype(np.int64),
         )
         tag[directory.position(keys)] = values
         facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
-        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, cells)
-
-
-def _to_global(index_map: Any, local: NDArray[Any]) -> Numbers:
-    numbers = index_map.local_to_global(np.ascontiguousarray(local, dtype=np.int32).ravel())
-    return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
+        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, last - first + 1)
 
 
 def _opened_facets(mesh: Mesh, sides: _FacetSides, openings: Sequence[_Opening]) -> Numbers:
@@ -354,7 +331,7 @@ def _copies_of_vertices(
     The home of a vertex joins the cells around it that have a closed facet in common there.
     """
     kind, cell_map = cell_type(mesh), mesh.topology.index_map(mesh.topology.dim)
-    number = _to_global(cell_map, np.arange(len(vertices)))
+    number = global_numbers(cell_map, np.arange(len(vertices)))
     columns = []
     for f, corners in enumerate(kind.facets):
         for corner in corners:
@@ -439,16 +416,12 @@ def _check_open(mesh: Mesh, sides: _FacetSides, opened: Numbers, cells: Numbers)
     order = np.argsort(keys, kind="stable")
     keys, vertices, places = keys[order], vertices[order], places[order]
     closed: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
-    raise_where(
-        mesh.comm,
-        closed,
-        places[1:],
-        lambda number, place: (
-            f"{number} facets of the interfaces cannot be opened, the first around {place}: all "
-            "their nodes are at the border of the interface, where the bodies stay together. Open "
-            "more of the surface, or mesh it more finely"
-        ),
-    )
+    if bad := first_wrong(mesh.comm, closed, places[1:]):
+        raise InputError(
+            f"{bad.number} facets of the interfaces cannot be opened, the first around "
+            f"{bad.place}: all their nodes are at the border of the interface, where the bodies "
+            "stay together. Open more of the surface, or mesh it more finely"
+        )
 
 
 # -- tags --------------------------------------------------------------------------------------

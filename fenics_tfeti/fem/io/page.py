@@ -196,6 +196,7 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
 
     Both are frames, of which Plotly writes the arrays as bytes.
     """
+    scene = scene.triangulated()
     points, displacement = (x.astype(np.float32) for x in (scene.points, scene.displacement))
 
     def places(scale: float) -> dict[str, Any]:
@@ -205,7 +206,7 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
     scales = {f"{scale:.3g}": places(scale) for scale in scene.scale * _MAGNIFICATIONS}
     middle = len(scales) // 2
     mesh = go.Mesh3d(
-        **dict(zip("ijk", scene.triangles.T, strict=True)),
+        **dict(zip("ijk", scene.faces.T, strict=True)),
         **places(scene.scale),
         **next(iter(colours.values())),
         colorscale="YlOrRd",
@@ -248,8 +249,8 @@ def _colours(scene: Scene, name: str, units: Units) -> dict[str, Any]:
         label += f" [{getattr(units, _QUANTITIES[name])}]"
     bar = {"title": {"text": label, "side": "top"}, "orientation": "h", "y": 0, "len": 0.9}
     return {
-        "intensity": values.astype(np.float32),
-        "intensitymode": "vertex" if len(values) == len(scene.points) else "cell",
+        "intensity": values.ravel().astype(np.float32),
+        "intensitymode": "vertex" if values.ndim == 1 else "cell",
         "colorbar": {**bar, "yanchor": "bottom", "thickness": 14},
     }
 

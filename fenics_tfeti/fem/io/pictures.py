@@ -9,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,16 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
+from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.io.units import UnitSystem, units_of
-from fenics_tfeti.fem.reference_cells import ReferenceCell
-from fenics_tfeti.fem.topology import cell_type, owned_cells
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Vector
 
 _log = logging.getLogger(__name__)
 
@@ -51,8 +48,8 @@ def draw_deformed(
 ) -> None:
     """Draw the deformed mesh, coloured by a field, and the undeformed outline. Collective.
 
-    Under MPI, rank 0 gathers the whole mesh and draws it. Cells of degree 2, and those of fields of
-    degree 2, are drawn as the pieces into which their nodes cut them.
+    Under MPI, rank 0 gathers the outer faces and draws them. Faces of degree 2, and those of fields
+    of degree 2, are drawn as the pieces into which their nodes cut them.
 
     Parameters
     ----------
@@ -105,21 +102,22 @@ def draw_deformed(
     comm = displacement.function_space.mesh.comm
     with raise_collectively(comm):
         _check_path(path)
-        check_displacement(displacement)
-        check_colour(displacement, colour)
         factor = units_of(units).factor(unit)
         if comm.rank == 0:
             _require("pyvista")
-    view = gather_mesh(displacement, colour)
+    scene = gather_scene(displacement, [] if colour is None else [colour])
+    limits = factor * _range(displacement if colour is None else colour)
     with raise_collectively(comm):
-        if view is not None:
-            if scale is None:
-                scale = round_scale(view)
-            field = colour.name if colour is not None else "displacement"
-            name = label or field.replace("_", " ")
+        if scene is not None:
+            scale = scene.scale if scale is None else scale
+            name, values = list(scene.fields.items())[-1]
+            name = label or name.replace("_", " ")
             data = {
-                **vars(view),
-                "colours": view.colours * factor,
+                "points": scene.points,
+                "displacement": scene.displacement,
+                "faces": scene.faces,
+                "colours": values * factor,
+                "limits": limits,
                 "scale": scale,
                 "title": title,
                 "label": f"{name} [{unit}]" if unit else name,
@@ -129,6 +127,14 @@ def draw_deformed(
                 "size": np.asarray(size),
             }
             _render(path, data)
+
+
+def _range(field: Function) -> Vector:
+    """Return the least and the largest value of a scalar, or size of a vector. Collective."""
+    comm, rows = field.function_space.mesh.comm, NodeMap(field.function_space).values(field)
+    values = rows.ravel() if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
+    low = comm.allreduce(float(values.min(initial=np.inf)), MPI.MIN)
+    return np.array([low, comm.allreduce(float(values.max(initial=-np.inf)), MPI.MAX)])
 
 
 def draw_profile(
@@ -179,84 +185,6 @@ def draw_profile(
             _write(path, picture)
 
 
-@dataclass(frozen=True)
-class GatheredMesh:
-    """The whole mesh and its fields.
-
-    For degree 2, cells are the pieces into which the nodes cut each cell. They are right-handed:
-    outward normals show the sharp edges.
-    """
-
-    points: NDArray[np.float64]  # (n, 3) [m]
-    displacement: NDArray[np.float64]  # (n, 3) [m]
-    cells: NDArray[np.int64]  # (m, v) in the order of VTK
-    colours: NDArray[np.float64]  # of the n nodes or the m cells
-    vtk_type: int
-
-
-def gather_mesh(displacement: Function, colour: Function | None) -> GatheredMesh | None:
-    """Gather the mesh and the fields on rank 0; the other ranks get None. Collective."""
-    mesh = displacement.function_space.mesh
-    cell = cell_type(mesh)
-    owned = owned_cells(mesh)
-    functions = [displacement] if colour is None else [displacement, colour]
-    degree = max(_compat.geometry_degree(mesh), *map(field_degree, functions), 1)
-    displacement = raised_to_degree(displacement, degree)
-    space = displacement.function_space
-    nodes = _compat.cell_dofs(space)[:owned]
-    cells = space.dofmap.index_map.local_to_global(nodes.ravel()).reshape(nodes.shape)
-
-    # cell by cell: the nodes of a cell are in the same order in all spaces of one degree
-    gdim = mesh.geometry.dim
-    displacements = displacement.x.array.reshape(-1, gdim)[nodes]
-    if colour is None:
-        colours = np.linalg.norm(displacements, axis=2)
-    else:
-        colour = raised_to_degree(colour, degree)
-        colours = colour.x.array[_compat.cell_dofs(colour.function_space)[:owned]]
-    local = (space.tabulate_dof_coordinates()[nodes], displacements, cells, colours)
-    ranks = mesh.comm.gather(local)
-    if ranks is None:
-        return None
-    points, displacements, cells, colours = (
-        np.concatenate(arrays) for arrays in zip(*ranks, strict=True)
-    )
-
-    _, first, place = np.unique(cells, return_index=True, return_inverse=True)
-    by_cell = colours.shape[1] == 1
-    pieces = np.array(cell.pieces(degree))
-    corners = place.reshape(cells.shape)[:, pieces].reshape(-1, cell.vertices)
-    points = points.reshape(-1, 3)[first]
-    right_handed = _right_handed(corners, points[corners], cell)
-    return GatheredMesh(
-        points=points,
-        displacement=np.pad(displacements.reshape(-1, gdim)[first], ((0, 0), (0, 3 - gdim))),
-        cells=right_handed[:, cell.vtk_order],
-        colours=np.repeat(colours[:, 0], len(pieces)) if by_cell else colours.ravel()[first],
-        vtk_type=cell.vtk_type,
-    )
-
-
-def _right_handed(
-    cells: NDArray[np.int64], corners: NDArray[np.float64], cell: ReferenceCell
-) -> NDArray[np.int64]:
-    """Reflect the left-handed cells (m, v), given the coordinates (m, v, 3) of their corners."""
-    x = corners[..., : cell.dim]
-    left_handed = np.linalg.det(x[:, cell.axes] - x[:, :1]) < 0.0
-    return np.where(left_handed[:, None], cells[:, cell.reflected], cells)
-
-
-def round_scale(view: GatheredMesh) -> float:
-    """Return 1, 2 or 5 times a power of ten that makes displacements a tenth of the mesh."""
-    largest = float(np.linalg.norm(view.displacement, axis=1).max())
-    size = float(np.ptp(view.points, axis=0).max())
-    if largest == 0.0:
-        return 1.0
-    target = 0.1 * size / largest
-    power = 10.0 ** np.floor(np.log10(target))
-    return float(power * max(k for k in (1, 2, 5) if k * power <= target * (1 + 1e-9)))
-
-
 def _render(path: Path, data: dict[str, Any]) -> None:
     """Draw in another process, and move the picture to its path only on success."""
     seconds = 600  # drawing takes a few seconds, without a graphics card
@@ -294,10 +222,7 @@ def _write(path: Path, picture: bytes) -> None:
 
 
 def _plot(
-    curves: dict[str, tuple[NDArray[np.float64], NDArray[np.float64], str]],
-    xlabel: str,
-    ylabel: str,
-    title: str,
+    curves: dict[str, tuple[Vector, Vector, str]], xlabel: str, ylabel: str, title: str
 ) -> bytes:
     """Draw curves on a figure of its own, as a PNG file; pyplot could change the user's figures."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -324,7 +249,7 @@ def _plot(
     return picture.getvalue()
 
 
-def _points(name: str, curve: Sequence[Any]) -> tuple[NDArray[Any], NDArray[Any], str]:
+def _points(name: str, curve: Sequence[Any]) -> tuple[Vector, Vector, str]:
     """Check the points and the style of a curve."""
     if len(curve) not in (2, 3):
         raise InputError(f"the curve '{name}' has {len(curve)} parts; give (x, y) or (x, y, style)")
@@ -340,36 +265,6 @@ def _points(name: str, curve: Sequence[Any]) -> tuple[NDArray[Any], NDArray[Any]
 def _check_path(path: Path) -> None:
     if path.suffix != ".png":
         raise InputError(f"'{path}' does not end in .png, the only supported format")
-
-
-def check_displacement(displacement: Function) -> None:
-    """Raise an `InputError` for what is no displacement."""
-    mesh = displacement.function_space.mesh
-    _, _, shape = _compat.element_facts(displacement.function_space)
-    if field_degree(displacement) == 0 or shape != (mesh.geometry.dim,):
-        raise InputError(
-            f"'{displacement.name}' is not a displacement; a continuous field of degree 1 or 2 "
-            f"with {mesh.geometry.dim} components is expected"
-        )
-    _check_finite(displacement)
-
-
-def check_colour(displacement: Function, colour: Function | None) -> None:
-    """Raise an `InputError` for a field that bodies cannot be coloured by."""
-    if colour is None:
-        return
-    _, _, shape = _compat.element_facts(colour.function_space)
-    field_degree(colour)
-    if shape != ():
-        raise InputError(f"the colour '{colour.name}' has shape {shape}; a scalar is expected")
-    if colour.function_space.mesh is not displacement.function_space.mesh:
-        raise InputError(f"'{colour.name}' is on another mesh than '{displacement.name}'")
-    _check_finite(colour)
-
-
-def _check_finite(function: Function) -> None:
-    if not np.all(np.isfinite(function.x.array)):
-        raise InputError(f"'{function.name}' has values that are NaN or infinite")
 
 
 def _require(module: str) -> None:

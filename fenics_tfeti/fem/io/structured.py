@@ -9,9 +9,8 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dolfinx.mesh import Mesh, exterior_facet_indices
+from dolfinx.mesh import Mesh, locate_entities_boundary
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -19,8 +18,9 @@ from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
-Marker = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+Marker = Callable[[Vector], Mask]
 
 
 @dataclass(frozen=True)
@@ -152,25 +152,29 @@ def tag_facets(
     rows = list(markers.items()) if isinstance(markers, Mapping) else list(markers)
     dim = mesh.topology.dim
     mesh.topology.create_connectivity(dim - 1, dim)
-    facets = exterior_facet_indices(mesh.topology)
-    nodes = _compat.entity_nodes(mesh, dim - 1, facets)
-    selected = np.zeros((len(rows), len(facets)), dtype=bool)
     with raise_collectively(mesh.comm):
         if cell_tags is None and any(len(row) > 2 for row in rows):
             raise InputError("a facet tag is for one body only: pass the cell_tags as well")
-        for k, (tag, marker, *body) in enumerate(rows):
-            selected[k] = _is_selected(nodes, mesh.geometry.x, marker, tag)
-            if body:
-                selected[k] &= _is_in_body(mesh, facets, cell_tags, body[0])
-        tags = np.array([row[0] for row in rows], dtype=np.int32)
-        values = _unique_tags(tags, selected)
-    counts = mesh.comm.allreduce(np.count_nonzero(selected, axis=1))
-    if not np.all(counts):
+        facets = [_selected(mesh, cell_tags, *row) for row in rows]
+        tags, counts = np.array([row[0] for row in rows]), [part.size for part in facets]
+        pairs = np.unique(
+            np.stack([np.concatenate([*facets, []]), np.repeat(tags, counts)]), axis=1
+        )
+        tagged, values = pairs.astype(np.int64)
+        several = np.flatnonzero(tagged[1:] == tagged[:-1])
+        if several.size:
+            raise InputError(
+                f"{np.unique(tagged[several]).size} facets are selected for several tags, "
+                f"{values[several[0]]} and {values[several[0] + 1]} for example, but a facet can "
+                "have only one: make the markers disjoint"
+            )
+    total = mesh.comm.allreduce(np.array(counts))
+    if not np.all(total):
         raise InputError(
-            f"no facet of the surface is selected for the facet tags {tags[counts == 0].tolist()}; "
+            f"no facet of the surface is selected for the facet tags {tags[total == 0].tolist()}; "
             "check their markers (they need a tolerance, as in numpy.isclose) and bodies"
         )
-    return sorted_tags(mesh, dim - 1, facets[np.any(selected, axis=0)], values)
+    return sorted_tags(mesh, dim - 1, tagged, values)
 
 
 def _check_boxes(bodies: Sequence[Box], cell: str) -> None:
@@ -197,7 +201,7 @@ def _check_boxes(bodies: Sequence[Box], cell: str) -> None:
         raise InputError(f"two boxes have the same name, out of {names}; rename one")
 
 
-def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
+def _shares(counts: list[int], comm: MPI.Comm) -> list[Numbers]:
     """Return for each box the numbers, within the box, of the items that this rank makes.
 
     All items are numbered box by box, and the ranks' shares follow each other, as dolfinx expects.
@@ -210,7 +214,7 @@ def _shares(counts: list[int], comm: MPI.Comm) -> list[NDArray[np.int64]]:
     ]
 
 
-def _points(box: Box, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
+def _points(box: Box, nodes: Numbers) -> Vector:
     """Return the coordinates (n, gdim) of chosen nodes of a box."""
     axes = [
         np.linspace(start, stop, n + 1)
@@ -220,56 +224,36 @@ def _points(box: Box, nodes: NDArray[np.int64]) -> NDArray[np.float64]:
     return np.column_stack([axis[i] for axis, i in zip(axes, places, strict=True)])
 
 
-def _cells(
-    box: Box, cell: ReferenceCell, cells: NDArray[np.int64], first_node: int
-) -> NDArray[np.int64]:
+def _cells(box: Box, cell: ReferenceCell, cells: Numbers, first_node: int) -> Numbers:
     """Return the nodes (m, v) of chosen cells of a box, which are numbered within the box."""
     gdim = len(box.divisions)
     strides = np.cumprod([1, *np.add(box.divisions, 1)])[:gdim]
     corners = (np.arange(2**gdim)[:, np.newaxis] >> np.arange(gdim) & 1) @ strides
     block, piece = np.divmod(cells, len(cell.grid_cut))
     lowest = np.column_stack(np.unravel_index(block, box.divisions, order="F")) @ strides
-    vertices: NDArray[np.int64] = corners[np.asarray(cell.grid_cut)][piece]
+    vertices: Numbers = corners[np.asarray(cell.grid_cut)][piece]
     vertices += first_node + lowest[:, np.newaxis]
     return vertices
 
 
-def _is_selected(
-    nodes: NDArray[np.int32], x: NDArray[np.float64], marker: Marker, tag: int
-) -> NDArray[np.bool_]:
-    """Tell for which rows of `nodes` (m, v) the marker is true at all vertices."""
-    vertices, place = np.unique(nodes, return_inverse=True)
-    what = f"the marker of facet tag {tag}"
-    selected = np.asarray(evaluate(marker, x[vertices], what), dtype=bool)
-    if selected.shape != vertices.shape:
-        raise InputError(
-            f"{what} returned the shape {selected.shape} for points of shape "
-            f"(3, {len(vertices)}); expected one truth value for each point, ({len(vertices)},)"
-        )
-    return np.asarray(np.all(selected[place.reshape(nodes.shape)], axis=1))
+def _selected(
+    mesh: Mesh, cell_tags: Any, tag: int, marker: Marker, body: int | None = None
+) -> Indices:
+    """Return the exterior facets at whose vertices a marker is true, of one body or all."""
+    what, dim = f"the marker of facet tag {tag}", mesh.topology.dim
 
+    def checked(x: Vector) -> Mask:
+        selected = np.asarray(evaluate(marker, x.T, what), dtype=bool)
+        if selected.shape != x.shape[1:]:
+            raise InputError(
+                f"{what} returned the shape {selected.shape} for points of shape {x.shape}; "
+                f"expected one truth value for each point, ({x.shape[1]},)"
+            )
+        return selected
 
-def _is_in_body(
-    mesh: Mesh, facets: NDArray[np.int32], cell_tags: Any, body: int
-) -> NDArray[np.bool_]:
-    """Tell which exterior facets belong to a cell with the tag `body`."""
-    dim = mesh.topology.dim
+    facets: Indices = locate_entities_boundary(mesh, dim - 1, checked)
+    if body is None:
+        return facets
     cells_of_facets = mesh.topology.connectivity(dim - 1, dim)
     cells = cells_of_facets.array[cells_of_facets.offsets[facets]]
-    return np.isin(cells, cell_tags.find(body))
-
-
-def _unique_tags(tags: NDArray[np.int32], selected: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the tag of each selected facet; `selected` is (markers, facets)."""
-    selected = selected[:, np.any(selected, axis=0)]
-    limits = np.iinfo(np.int32)
-    highest = np.where(selected, tags[:, np.newaxis], limits.min).max(axis=0, initial=limits.min)
-    lowest = np.where(selected, tags[:, np.newaxis], limits.max).min(axis=0, initial=limits.max)
-    ambiguous = np.flatnonzero(lowest != highest)
-    if len(ambiguous):
-        raise InputError(
-            f"{len(ambiguous)} facets are selected for several tags, {lowest[ambiguous[0]]} and "
-            f"{highest[ambiguous[0]]} for example, but a facet can have only one: make the markers "
-            "disjoint"
-        )
-    return np.asarray(highest, dtype=np.int32)
+    return facets[np.isin(cells, cell_tags.find(body))]

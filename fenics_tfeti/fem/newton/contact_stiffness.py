@@ -20,8 +20,7 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions
 from fenics_tfeti.fem.contact.description import Contact, ContactPair
-from fenics_tfeti.fem.decomposition.assembly import PreparedForms, prepare_forms
-from fenics_tfeti.fem.decomposition.torn_mesh import TornMesh
+from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Numbers, Vector

@@ -155,11 +155,7 @@ class Multipliers:
         """Return multipliers of the same shapes; pressures are not negative."""
         ends = np.cumsum([self.normal.size, self.tangential.size])
         normal, tangential, tied = np.split(values, ends)
-        return Multipliers(
-            np.maximum(normal, 0.0),
-            tangential.reshape(self.tangential.shape),
-            tied,
-        )
+        return Multipliers(np.maximum(normal, 0.0), tangential.reshape(self.tangential.shape), tied)
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ from dolfinx import fem
 from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.deformed import deformed_contact
-from fenics_tfeti.io import displacement_space
 
 COMM = MPI.COMM_WORLD
 
@@ -302,14 +301,6 @@ def test_gap_alone_counts_along_the_deformed_normal(cell):
 def test_obstacle_that_is_undefined_where_the_body_went(wrong):
     with pytest.raises(InputError, match="contact 0"):
         at_obstacle(blocks("triangle"), wrong, shifted(0.0, -0.1))
-
-
-def test_displacement_on_another_space():
-    scene = blocks("triangle")
-    matched = scene.pairing(scene.pair)
-    other = fem.Function(displacement_space(scene.mesh, degree=2))
-    with pytest.raises(InputError, match="another function space"):
-        deformed_contact(scene.pair, matched, other)
 
 
 def test_displacement_that_is_not_finite():

@@ -25,7 +25,6 @@ from fenics_tfeti import (
     Tresca,
 )
 from fenics_tfeti.fem.contact.description import contact_name
-from fenics_tfeti.fem.contact.ties.description import tie_name
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
 TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
@@ -38,7 +37,7 @@ def test_names():
     assert contact_name(ContactPair(TAGS, 1, 2), 3) == "contact 3 (pair)"
     assert contact_name(OBSTACLE, 0) == "contact 0 (obstacle)"
     assert contact_name(replace(OBSTACLE, name="floor"), 0) == "floor"
-    assert tie_name(TIE, 1) == "tied pair 1"
+    assert contact_name(TIE, 1) == "tied pair 1"
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition import bisection
 from fenics_tfeti.fem.decomposition.bisection import bisect
-from fenics_tfeti.fem.decomposition.cell_graph import cell_graph
+from fenics_tfeti.fem.decomposition.bodies import cell_graph
 from fenics_tfeti.io import Box, boxes
 
 

@@ -7,10 +7,9 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from fenics_tfeti.fem.decomposition.cell_graph import (
+from fenics_tfeti.fem.decomposition.bodies import (
     cell_graph,
     components,
-    connected_groups,
     groups,
 )
 from fenics_tfeti.io import Box, boxes
@@ -52,9 +51,3 @@ def test_groups_are_by_label():
 
 def test_no_cells_are_no_groups():
     assert groups(np.zeros(0, dtype=np.int64)) == []
-
-
-def test_groups_have_the_numbers_of_the_cells():
-    graph = graph_of((3, 1), "quadrilateral")
-    found = connected_groups(graph, np.zeros(3, dtype=np.int64), np.array([7, 8, 9], dtype="i4"))
-    assert [g.tolist() for g in found] == [[7, 8, 9]]

@@ -11,6 +11,7 @@ import scenes
 from dolfinx import fem
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.io import displacement_space
 
@@ -27,7 +28,7 @@ def displaced(cell: str, degree: int = 1):
 
 def areas(scene):
     """Return the oriented areas of the triangles."""
-    a, b, c = (scene.points[corner] for corner in scene.triangles.T)
+    a, b, c = (scene.points[corner] for corner in scene.faces.T)
     return 0.5 * np.cross(b - a, c - a)
 
 
@@ -35,11 +36,11 @@ def areas(scene):
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
 def test_outer_faces_are_closed_and_outward(cell, degree):
     """Two beams of 2 m x 1 m x 1 m: by Gauss' theorem, int x.n = 3 V."""
-    scene = gather_scene(displaced(cell, degree))
+    scene = gather_scene(displaced(cell, degree)).triangulated()
     areas_of = areas(scene)
     np.testing.assert_allclose(areas_of.sum(axis=0), 0.0, atol=1e-12)
     assert np.linalg.norm(areas_of, axis=1).sum() == pytest.approx(2 * 10.0)
-    middles = scene.points[scene.triangles].mean(axis=1)
+    middles = scene.points[scene.faces].mean(axis=1)
     assert np.sum(middles * areas_of) == pytest.approx(3 * 4.0)
     np.testing.assert_allclose(scene.displacement[:, 0], 0.01 * scene.points[:, 0], atol=1e-15)
     assert not scene.flat
@@ -48,7 +49,7 @@ def test_outer_faces_are_closed_and_outward(cell, degree):
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
 def test_cells_of_two_dimensions(cell, degree):
-    scene = gather_scene(displaced(cell, degree))
+    scene = gather_scene(displaced(cell, degree)).triangulated()
     areas_of = areas(scene)
     assert areas_of[:, 2].sum() == pytest.approx(4.0)
     assert (areas_of[:, 2] > 0.0).all() and scene.flat
@@ -63,13 +64,53 @@ def test_fields_of_nodes_and_cells():
     by_cell = fem.Function(scenes.scalar_space(mesh, "DG", 0), name="body")
     by_cell.interpolate(lambda x: np.where(x[2] < 1.0, 1.0, 2.0))
     scene = gather_scene(u, [by_node, by_cell])
+    assert scene.faces.shape[1] == 4
+    scene = scene.triangulated()
     assert list(scene.fields) == ["displacement", "height", "body"]
     np.testing.assert_allclose(scene.fields["height"], scene.points[:, 2], atol=1e-14)
     np.testing.assert_allclose(scene.fields["displacement"], 0.01 * scene.points[:, 0], atol=1e-14)
-    middles = scene.points[scene.triangles].mean(axis=1)
+    middles = scene.points[scene.faces].mean(axis=1)
     lower = middles[:, 2] < 1.0 - 1e-9
-    assert len(scene.fields["body"]) == len(scene.triangles)
+    assert scene.fields["body"].shape == (len(scene.faces), 1)
     assert (scene.fields["body"][lower] == 1.0).all()
+
+
+@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron", "hexahedron"])
+def test_faces_of_degree_2_are_drawn_in_pieces(cell):
+    """Of a field of degree 2 as well, on a displacement of degree 1."""
+    plain = displaced(cell)
+    mesh = plain.function_space.mesh
+    by_node = fem.Function(_compat.lagrange_space(mesh, 2), name="square")
+    by_node.interpolate(lambda x: x[0] ** 2 + x[1])
+    by_cell = fem.Function(scenes.scalar_space(mesh, "DG", 0), name="cell")
+    by_cell.x.array[:] = np.arange(by_cell.x.array.size)
+    scene, whole = gather_scene(plain, [by_cell, by_node]), gather_scene(plain, [by_cell])
+    assert len(scene.faces) == 4 * len(whole.faces)
+    x, y, _ = scene.points.T
+    assert scene.fields["square"] == pytest.approx(x**2 + y)
+    assert scene.displacement == pytest.approx(0.01 * np.outer(x, [1, 0, 0]), abs=1e-15)
+    np.testing.assert_array_equal(
+        scene.fields["cell"].reshape(-1, 4), np.repeat(whole.fields["cell"], 4, axis=1)
+    )
+
+
+@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
+def test_corners_of_a_face_are_next_to_each_other(cell):
+    """A bowtie would have diagonals."""
+    scene = gather_scene(displaced(cell))
+    corners = scene.points[scene.faces]
+    steps = corners - np.roll(corners, 1, axis=1)
+    assert np.all(np.count_nonzero(np.abs(steps) > 1e-12, axis=2) == 1)
+
+
+@pytest.mark.parametrize(
+    ("largest", "scale"),
+    [(0.3, 1.0), (0.15, 2.0), (0.29, 1.0), (1.5e-3, 200.0), (10.5, 0.02), (0, 1)],
+)
+def test_scale_is_round_and_makes_displacements_a_tenth(largest, scale):
+    u = displaced("quadrilateral")  # of the length 3
+    u.interpolate(lambda x: np.stack([0 * x[0], largest * x[0] / 3]))
+    assert gather_scene(u).scale == pytest.approx(scale)
 
 
 def test_wrong_fields_are_refused():

@@ -1,5 +1,5 @@
 """Segment-based dual mortar conditions between two surfaces.
 
-Facets, candidates, clipping, cells, integrals and matrices are those of one rank; conditions,
-pairing and checks are of distributed surfaces.
+Facets, clipping, cells, integrals and matrices are those of one rank; conditions and pairing are of
+distributed surfaces.
 """

@@ -1,6 +1,7 @@
 """The cells of integration: where master facets lie over slave facets, in the slave's planes.
 
-Facets of degree 2 are projected piece by piece; here a facet is one of these pieces.
+No search distance is given. Facets of degree 2 are projected piece by piece; here a facet is one of
+these pieces.
 """
 
 from __future__ import annotations
@@ -11,8 +12,8 @@ from functools import reduce
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
 from fenics_tfeti.fem.contact.mortar.clipping import clip_intervals, clip_polygons, fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,
@@ -22,8 +23,16 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     reference_coordinates,
     shape_functions,
 )
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+# Cosine between the normals of two facets, below which they face each other: 96 degrees.
+FACING = -0.1
+
+# How far the master is looked for, relative to a slave facet's distance from the master's nodes and
+# centres: enough where the surfaces are inclined to each other by up to 60 degrees.
+REACH = 2.0
 
 # Area of a cell, relative to its slave facet, that is rounding.
 _NO_AREA = 1e-12
@@ -31,6 +40,59 @@ _NO_AREA = 1e-12
 # Excess of the cells' areas over that of their slave facet, relative to it, above which the master
 # has several layers there.
 _SEVERAL_LAYERS = 1e-6
+
+
+class MasterTree:
+    """The pieces of a master's surface, to be found from the slave's."""
+
+    def __init__(self, master: Facets) -> None:
+        x = master.coordinates()
+        self.facets, self.planes = master, Planes.of(x)
+        self._tree, self._low, self._high = BoxTree(x), lowest(x), highest(x)
+        nodes = master.points[np.unique(master.pieces)]
+        self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
+
+    def reach(self, slave: Facets, planes: Planes) -> Vector:
+        """Return how far before and behind each piece (p,) the master is looked for [m].
+
+        It is `REACH` times the piece's distance from the nodes and centres of the master, and its
+        diameter more.
+        """
+        nodes, inverse = np.unique(slave.pieces, return_inverse=True)
+        distance = self._places.query(slave.points[nodes])[0]
+        farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
+        reach: Vector = REACH * farthest + planes.diameter
+        return reach
+
+    def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
+        """Find the pieces of the master that face those of the slave and may lie over them.
+
+        The pieces of the slave have the corners x (p, v, gdim) and their planes. Pairs (slave,
+        master) are in the order of the slave's pieces; each once.
+        """
+        frames = planes.project(np.arange(len(x)), x)
+        low, high = lowest(frames), highest(frames)
+        low[:, -1] -= reach
+        high[:, -1] += reach
+        # the box around the facet's prism along its normal
+        middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        centre = planes.origin + np.einsum("fa,fad->fd", middle, planes.axes)
+        extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
+        upper, lower = ((centre + side * extent).T.copy() for side in (1.0, -1.0))
+
+        def overlaps(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+            overlapping = np.ones(row.size, dtype=bool)
+            for axis, (top, bottom) in enumerate(zip(upper, lower, strict=True)):
+                overlapping &= box_low[:, axis] <= top.take(row)
+                overlapping &= box_high[:, axis] >= bottom.take(row)
+            return overlapping
+
+        slave, master = self._tree.candidates(len(x), overlaps)
+        close = overlaps(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
+        slave, master = slave[close], master[close]
+        normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
+        faces = np.einsum("kd,kd->k", *normals) < FACING
+        return slave[faces], master[faces]
 
 
 @dataclass(frozen=True)
@@ -100,7 +162,7 @@ def overlapping_cells(
 ) -> Cells:
     """Find the cells of some slave facets, ascending, with all layers of the master."""
     x = slave.coordinates(chosen)
-    chosen_planes = Planes(*(column[chosen] for column in _columns(planes)))
+    chosen_planes = planes.chosen(chosen)
     row, facet = master.candidates(x, chosen_planes, reach[chosen])
     on_slave = chosen_planes.project(np.arange(len(x)), x)[row, :, :-1]
     frames = chosen_planes.project(row, master.facets.coordinates(facet))
@@ -142,10 +204,6 @@ def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
     return outside_edge
 
 
-def _columns(planes: Planes) -> tuple[Vector, Vector, Vector, Vector]:
-    return planes.origin, planes.axes, planes.area, planes.diameter
-
-
 def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vector]:
     """Return the cells of pairs of projected facets: the pair, the corners and the area of each."""
     if master.shape[2] == 1:
@@ -156,10 +214,7 @@ def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vect
 
 
 def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
-    """Leave out master facets far behind the slave if the slave is not inside the master there.
-
-    Such are parts of the master on the other side of the slave's body.
-    """
+    """Leave out master facets far behind the slave unless the slave is inside the master there."""
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells
@@ -169,17 +224,11 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
         return cells
     facet = cells.slave[suspects]
     in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
-    signed = _simplices(master.facets).distance(planes.origin[facet] + in_plane).signed
+    surface = FacetedSurface.of(master.facets)
+    signed = surface.distance(planes.origin[facet] + in_plane).signed
     kept = np.ones(cells.slave.size, dtype=bool)
     kept[suspects] = signed < 0.0
     return cells.select_pairs(kept)
-
-
-def _simplices(surface: Facets) -> FacetedSurface:
-    corners = surface.pieces
-    if corners.shape[1] == 4:
-        corners = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
-    return FacetedSurface(surface.points, corners)
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:

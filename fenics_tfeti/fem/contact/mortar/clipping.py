@@ -11,10 +11,7 @@ _ON_EDGE = 1e-12
 
 
 def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
-    """Intersect intervals (k, 2), whose ends are in either order.
-
-    The lower and upper end (k, 2) are equal where the intersection is empty.
-    """
+    """Intersect intervals (k, 2): lower and upper ends, which are equal where these are apart."""
     low = np.maximum(subject.min(axis=1), clipper.min(axis=1))
     high = np.minimum(subject.max(axis=1), clipper.max(axis=1))
     return np.column_stack([low, np.maximum(low, high)])

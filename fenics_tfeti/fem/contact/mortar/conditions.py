@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     slave_matrix,
 )
 from fenics_tfeti.fem.contact.pairing_summary import angles_between
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, facet_deviations
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
@@ -43,15 +43,10 @@ class MortarConditions:
     coverage: Vector  # (k,): covered share of the area that belongs to the node
     # (k,): largest distance of facets there from curved surfaces through their nodes [m]
     chord: Vector
-    deviation: Vector  # (k,): the same for curved facets of degree 2, see `facet_deviations`
+    deviation: Vector  # (k,): the same less the curvature of the facets
     angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
     covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
-
-    @property
-    def slave(self) -> Numbers:
-        """Global slave nodes (k,), ascending."""
-        return self.terms.slave
 
 
 def mortar_conditions(
@@ -251,10 +246,7 @@ def collect_terms(
 def _largest_of_facets(
     slave: SurfaceFacets, master: SurfaceFacets, integrals: FacetIntegrals
 ) -> tuple[Vector, Numbers]:
-    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them.
-
-    The angles are those between the planes of the facets' corners.
-    """
+    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them."""
     facet, opposite_facet = integrals.facet[integrals.pair], integrals.master
     planes, opposite = (
         Planes.of(surface.points[surface.facets.corners]) for surface in (slave, master)
@@ -273,5 +265,5 @@ def _heights(surface: SurfaceFacets) -> Vector:
     corners, nodes = surface.facets.corners, surface.facets.nodes
     middles = nodes[:, corners.shape[1] :]
     points = surface.points[middles] if middles.size else None
-    curved = (surface.points[corners], surface.normal[corners], points)
-    return np.column_stack([chord_heights(*curved), facet_deviations(*curved)])
+    heights = chord_heights(surface.points[corners], surface.normal[corners], points)
+    return np.column_stack(heights)

@@ -81,6 +81,24 @@ class Facets:
         # faster than an index
         return self.points.take(pieces, axis=0)
 
+    def simplices(self) -> Numbers:
+        """Return segments or triangles, four around the centre of each quadrilateral.
+
+        Facets of degree 2 are replaced by their pieces. The nodes are rows of `with_centres`.
+        """
+        pieces = self.pieces
+        if self.number_of_corners < 4:
+            return pieces
+        centre = len(self.points) + np.arange(len(pieces))
+        ends = zip(pieces.T, np.roll(pieces, -1, axis=1).T, strict=True)
+        return np.concatenate([np.column_stack([*edge, centre]) for edge in ends])
+
+    def with_centres(self, values: Vector) -> Vector:
+        """Return values at nodes, followed by those at the centres of quadrilaterals."""
+        if self.number_of_corners < 4:
+            return values
+        return np.concatenate([values, values[self.pieces].mean(axis=1)])
+
     def in_facet(self, piece: Numbers, xi: Vector) -> Vector:
         """Return the reference coordinates in facets (k, q, d) of those in their pieces (k,)."""
         per_facet, t = self.per_facet, self.nodes.shape[1]
@@ -127,6 +145,10 @@ class Planes:
         first /= np.linalg.norm(first, axis=1)[:, None]
         axes = np.stack([first, np.cross(normal, first), normal], axis=1)
         return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
+
+    def chosen(self, rows: Numbers) -> Planes:
+        """Return some of the planes."""
+        return Planes(self.origin[rows], self.axes[rows], self.area[rows], self.diameter[rows])
 
     @property
     def normal(self) -> Vector:

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import Cells, covering_cells
+from fenics_tfeti.fem.contact.mortar.cells import Cells, MasterTree, covering_cells
 from fenics_tfeti.fem.contact.mortar.clipping import fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,
@@ -169,10 +168,7 @@ def _rows(values: Vector, chosen: Numbers) -> Vector:
 
 
 def _products(first: Vector, second: Vector) -> Vector:
-    """Return the sums over q of one_i other_j: (c, q, v) and (c, q, w) to (c, v, w).
-
-    For all cells together: products of many small matrices take several times as long.
-    """
+    """Return the sums over q of (c, q, v) and (c, q, w), faster than many small products."""
     lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
     rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
     return np.stack([row.T for row in rows]).transpose(2, 0, 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -17,10 +16,10 @@ from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.pairing_summary import pairing_summary
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
@@ -46,7 +45,7 @@ def match_by_mortar(
     check_folds(slave.boundary.nodes, facets, name)
     conditions = mortar_conditions(slave, facets, master, shared)
     check_covered(conditions, slave, name)
-    rows = np.searchsorted(slave.nodes, conditions.slave)
+    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
     if facets.weight is not None:
         slave.check_weight(conditions.area, rows, name)
     gap = np.sum(conditions.gap * conditions.normal, axis=1)
@@ -67,7 +66,19 @@ def match_by_mortar(
         deviation=deviation if contact.initial_gap == "geometric" else None,
     )
     summary = {**summary, "slave": contact.slave, "master": contact.master}
-    return _pairing(name, conditions, slave, tagged_master, gap, summary, prescribed)
+    return ContactPairing(
+        conditions.terms,
+        conditions.normal,
+        gap,
+        conditions.area,
+        name,
+        summary,
+        slave,
+        conditions.covered,
+        conditions.coverage,
+        prescribed,
+        tagged_master,
+    )
 
 
 def match_deformed(
@@ -98,33 +109,16 @@ def match_deformed(
     conditions = mortar_conditions(surface, facets, master, shared)
     check_covered(conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    new = _pairing(name, conditions, surface, tagged_master, distance, pairing.summary, prescribed)
+    new = replace(
+        pairing,
+        terms=conditions.terms,
+        normal=conditions.normal,
+        area=conditions.area,
+        covered=conditions.covered,
+        coverage=conditions.coverage,
+    )
     relative = new.relative(nodes, nodes.values(displacement))
     return replace(new, gap=distance + np.sum(relative * conditions.normal, axis=1)), distance
-
-
-def _pairing(
-    name: str,
-    conditions: MortarConditions,
-    slave: Surface,
-    master: Surface,
-    gap: Vector,
-    summary: dict[str, Any],
-    prescribed: Mask,
-) -> ContactPairing:
-    return ContactPairing(
-        conditions.terms,
-        conditions.normal,
-        gap,
-        conditions.area,
-        name,
-        summary,
-        slave,
-        conditions.covered,
-        conditions.coverage,
-        prescribed,
-        master,
-    )
 
 
 def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
@@ -137,7 +131,7 @@ def _normals(contact: ContactPair, slave: Surface, prescribed: Mask) -> Vector:
 def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> None:
     """Check that the master covers a part of the slave, and more than slivers. Collective."""
     facets, rows = slave.comm.allreduce(
-        np.array([int(conditions.covered.sum()), conditions.slave.size])
+        np.array([int(conditions.covered.sum()), conditions.terms.slave.size])
     ).tolist()
     if not facets:
         raise InputError(
@@ -146,16 +140,12 @@ def check_covered(conditions: MortarConditions, slave: Surface, name: str) -> No
             "touch face each other: is one of the tags on the far side of its body, or on another "
             "body?"
         )
-    if not rows:
-        raise_where(
-            slave.comm,
-            np.ones(slave.nodes.size, dtype=bool),
-            slave.points,
-            lambda number, place: (
-                f"{name}: the master covers slivers of {facets} slave facets only, too little for "
-                f"any of the {number} slave nodes, the first at {place}. Tag surfaces that lie "
-                "over each other, not ones that meet at an edge"
-            ),
+    everywhere = np.ones(slave.nodes.size, dtype=bool)
+    if not rows and (bad := first_wrong(slave.comm, everywhere, slave.points)):
+        raise InputError(
+            f"{name}: the master covers slivers of {facets} slave facets only, too little for any "
+            f"of the {bad.number} slave nodes, the first at {bad.place}. Tag surfaces that lie "
+            "over each other, not ones that meet at an edge"
         )
 
 
@@ -174,13 +164,9 @@ def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, name: str) -> None:
     low, high, middle, normal = low[order], high[order], middle[order], normal[order]
     same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
     folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
-    raise_where(
-        all_nodes.comm,
-        folded,
-        middle[1:],
-        lambda number, place: (
-            f"{name}: the slave's surface is folded by more than 90 degrees at {number} edges, the "
-            f"first at {place}. Tag the two sides of a sharp edge as surfaces of two contacts, or "
-            "make the other surface the slave"
-        ),
-    )
+    if bad := first_wrong(all_nodes.comm, folded, middle[1:]):
+        raise InputError(
+            f"{name}: the slave's surface is folded by more than 90 degrees at {bad.number} edges, "
+            f"the first at {bad.place}. Tag the two sides of a sharp edge as surfaces of two "
+            "contacts, or make the other surface the slave"
+        )

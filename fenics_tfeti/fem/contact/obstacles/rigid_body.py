@@ -8,9 +8,8 @@ right-hand sides.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -170,68 +169,21 @@ class RigidBody:
 
 
 @dataclass(frozen=True)
-class BodyPlace:
-    """Where a body is: the sum of its motions, and what its rotations make together."""
-
-    motion: Vector  # (modes,): translation [m], and the sum of small rotations [rad]
-    turned: Rotation  # in space, in 2D about z
-
-    @staticmethod
-    def undeformed(body: RigidBody) -> BodyPlace:
-        """Return the place where nothing has moved."""
-        return BodyPlace(np.zeros(body.modes), Rotation.identity())
-
-    def moved(self, motion: Vector) -> BodyPlace:
-        """Return the place after a further rotation, up to a sum of motions."""
-        step = motion - self.motion
-        small = step[3:] if step.size == 6 else np.array([0.0, 0.0, step[2]])
-        return BodyPlace(motion, Rotation.from_rotvec(small) * self.turned)
-
-    @property
-    def rotation(self) -> Vector:
-        """Axis times angle (3,), in 2D the angle (1,) [rad]."""
-        vector: Vector = self.turned.as_rotvec()
-        return vector if self.motion.size == 6 else vector[2:]
-
-    def turn(self, vectors: Vector) -> Vector:
-        """Return vectors (k, gdim) of the body as they are after its rotation."""
-        padded = np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
-        turned: Vector = self.turned.apply(padded)[:, : vectors.shape[1]]
-        return turned
-
-    def undeformed_places(self, body: RigidBody, x: Vector) -> Vector:
-        """Return where the points of the body that are at x (k, gdim) now have been."""
-        back = BodyPlace(self.motion, self.turned.inv())
-        return back.turn(x - body.point - self.motion[: body.gdim]) + body.point
-
-    def obstacle(self, body: RigidBody, shape: Obstacle) -> Obstacle:
-        """Return the obstacle with a shape of the body that was moved here."""
-        gdim = body.gdim
-
-        def moved(x: Vector) -> Any:
-            back = np.array(x)
-            back[:gdim] = self.undeformed_places(body, x[:gdim].T).T
-            values = shape(back)
-            if not (isinstance(values, tuple | list) and len(values) == 2):
-                return values
-            return values[0], self.turn(np.asarray(values[1], dtype=float)[:gdim].T).T
-
-        return moved
-
-
-@dataclass(frozen=True)
 class BodyFrame:
-    """A rigid body as nodes of a torn system: the corners of a simplex."""
+    """A rigid body as nodes of a torn system, the corners of a simplex, and where it is."""
 
     body: RigidBody
     name: str
-    corners: Vector  # (gdim + 1, gdim) [m]
+    corners: Vector  # (gdim + 1, gdim), undeformed [m]
     # without loads: the body, and its spring as an elastic body at the same nodes
     templates: list[Subdomain] = field(repr=False)
+    to_motion: Vector = field(repr=False)  # (modes, n): of displacements of the corners
+    motion: Vector  # (modes,): translation [m], and the sum of small rotations [rad]
+    turned: Rotation  # what the rotations make together, in space, in 2D about z
     load_on_cells: Vector | None = None  # (modes,): of the form on the cells of the mesh's body
 
     @staticmethod
-    def build(
+    def undeformed(
         body: RigidBody, name: str, box: Vector, first: int, number: int, known: BodyFrame | None
     ) -> BodyFrame:
         """Make a frame around a box (2, gdim) with nodes from `first` on.
@@ -250,20 +202,10 @@ class BodyFrame:
         templates, C = [rigid], body.stiffness
         if C.any():
             templates.append(Subdomain(_spring(modes, C), load, corners, nodes, number))
-        frame = BodyFrame(body, name, corners, templates)
-        if known is not None and frame._has_matrices_of(known):
-            return replace(frame, templates=known.templates)
-        return frame
-
-    def _has_matrices_of(self, other: BodyFrame) -> bool:
-        return len(self.templates) == len(other.templates) and all(
-            np.array_equal(s.nodes, t.nodes)
-            and np.array_equal(s.coordinates, t.coordinates)
-            and s.body == t.body
-            and s.has_kernel_of(t)
-            and (s.stiffness != t.stiffness).nnz == 0
-            for s, t in zip(self.templates, other.templates, strict=True)
-        )
+        if known is not None and are_same(templates, known.templates):
+            templates = known.templates
+        start = np.zeros(body.modes), Rotation.identity()
+        return BodyFrame(body, name, corners, templates, np.linalg.pinv(modes), *start)
 
     @property
     def nodes(self) -> Numbers:
@@ -275,12 +217,6 @@ class BodyFrame:
         """Force and moment now (modes,), of the body and on its cells."""
         own = self.body.load
         return own if self.load_on_cells is None else own + self.load_on_cells
-
-    @cached_property
-    def _motion_of_corners(self) -> Vector:
-        """The matrix (modes, n) of the motion that displacements of the corners are."""
-        inverse: Vector = np.linalg.pinv(_modes(self.corners - self.body.point))
-        return inverse
 
     def subdomains(self, start: Vector) -> list[Subdomain]:
         """Return the body, and its spring if it has one, with the loads now, at a motion."""
@@ -294,46 +230,78 @@ class BodyFrame:
         """Return a motion (modes,) with the prescribed components as they are now."""
         return np.where(self.body.is_free, motion, self.body.prescribed_motion)
 
+    def ahead(self, from_here: bool) -> Vector:
+        """Return the motion (modes,) that is not among the unknowns, from where the body is."""
+        return self.with_prescribed(from_here * self.motion) - self.motion
+
     def nodal(self, load: Vector) -> Vector:
         """Return forces (n,) at the corners with a resultant and a moment (modes,)."""
-        forces: Vector = load @ self._motion_of_corners
+        forces: Vector = load @ self.to_motion
         return forces
 
-    def motion(self, displacement: Vector) -> Vector:
-        """Return the motion (modes,) of displacements (n,) of the corners."""
-        motion: Vector = self._motion_of_corners @ displacement
-        return motion
+    def moved(self, motion: Vector) -> BodyFrame:
+        """Return the body after a further rotation, up to a sum of motions."""
+        step = motion - self.motion
+        small = step[3:] if step.size == 6 else np.array([0.0, 0.0, step[2]])
+        return replace(self, motion=motion, turned=Rotation.from_rotvec(small) * self.turned)
 
-    def corner_displacements(self, motion: Vector) -> Vector:
-        """Return the displacements (gdim + 1, gdim) of the corners in a small motion [m]."""
-        return self.displacements(motion, self.corners)
+    @property
+    def rotation(self) -> Vector:
+        """Axis times angle (3,), in 2D the angle (1,) [rad]."""
+        vector: Vector = self.turned.as_rotvec()
+        return vector if self.motion.size == 6 else vector[2:]
+
+    def turn(self, vectors: Vector, back: bool = False) -> Vector:
+        """Return vectors (k, gdim) of the body as they are after its rotation, or before it."""
+        padded = np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
+        turned: Vector = self.turned.apply(padded, inverse=back)[:, : vectors.shape[1]]
+        return turned
+
+    def turned_places(self, x: Vector) -> Vector:
+        """Return where points (k, gdim) of the undeformed body are, less its translation."""
+        return self.body.point + self.turn(x - self.body.point)
+
+    def undeformed_places(self, x: Vector) -> Vector:
+        """Return where the points of the body that are at x (k, gdim) now have been."""
+        point = self.body.point
+        return self.turn(x - point - self.motion[: point.size], back=True) + point
+
+    def obstacle(self, shape: Obstacle) -> Obstacle:
+        """Return the obstacle with a shape of the undeformed body where it is."""
+        gdim = self.body.gdim
+
+        def moved(x: Vector) -> Any:
+            before = np.array(x)
+            before[:gdim] = self.undeformed_places(x[:gdim].T).T
+            values = shape(before)
+            if not (isinstance(values, tuple | list) and len(values) == 2):
+                return values
+            return values[0], self.turn(np.asarray(values[1], dtype=float)[:gdim].T).T
+
+        return moved
 
     def displacements(self, motion: Vector, points: Vector) -> Vector:
         """Return the displacements (k, gdim) of points (k, gdim) in a small motion [m]."""
         return _displacements(motion, points - self.body.point)
 
-    def weights(self, points: Vector) -> Vector:
-        """Return the barycentric coordinates (k, gdim + 1) of points (k, gdim)."""
+    def terms(
+        self, row: Numbers, points: Vector, coefficients: Vector
+    ) -> tuple[Numbers, Numbers, Vector]:
+        """Return terms (t,) at points of the body as ones at its corners, one a row and corner."""
         simplex = np.vstack([self.corners.T, np.ones(len(self.corners))])
-        columns = np.vstack([points.T, np.ones(len(points))])
-        weights: Vector = np.linalg.solve(simplex, columns).T
-        return weights
+        weights = np.linalg.solve(simplex, np.vstack([points.T, np.ones(len(points))])).T
+        rows, position = np.unique(row, return_inverse=True)
+        sums = np.zeros((rows.size, *self.corners.shape))
+        np.add.at(sums, position.ravel(), weights[:, :, None] * coefficients[:, None, :])
+        corners, gdim = self.corners.shape
+        return np.repeat(rows, corners), np.tile(self.nodes, rows.size), sums.reshape(-1, gdim)
 
     def joined(self, rows: ContactRows, points: Vector) -> ContactRows:
         """Return rows (k,) with the body at points (k, gdim) as the master."""
-        k, corners = rows.size, len(self.corners)
-        weights = self.weights(points)
         sums = rows.length[:, None] * rows.normal
-        order = np.argsort(np.append(rows.row, np.repeat(np.arange(k), corners)), kind="stable")
-        terms = (-weights[:, :, None] * sums[:, None, :]).reshape(-1, points.shape[1])
         moved = self.displacements(self.body.prescribed_motion, points)
-        return replace(
-            rows,
-            offsets=rows.offsets + corners * np.arange(k + 1),
-            nodes=np.append(rows.nodes, np.tile(self.nodes, k))[order],
-            coefficients=np.concatenate([rows.coefficients, terms])[order],
-            gap=rows.gap + np.sum(sums * moved, axis=1),
-        )
+        joined = rows.with_terms(*self.terms(np.arange(rows.size), points, -sums))
+        return replace(joined, gap=rows.gap + np.sum(sums * moved, axis=1))
 
 
 @dataclass(frozen=True)
@@ -343,7 +311,6 @@ class RigidBodies:
     comm: MPI.Intracomm
     gdim: int
     frames: Sequence[BodyFrame] = ()
-    places: Sequence[BodyPlace] = ()
 
     @property
     def names(self) -> list[str]:
@@ -353,56 +320,51 @@ class RigidBodies:
     @property
     def motions(self) -> list[Vector]:
         """The motion of each body."""
-        return [place.motion for place in self.places]
+        return [frame.motion for frame in self.frames]
 
     @property
-    def _mine(self) -> range:
-        """The numbers of this rank's bodies."""
-        return range(self.comm.rank, len(self.frames), self.comm.size)
+    def _own(self) -> Sequence[BodyFrame]:
+        """The bodies of this rank."""
+        return self.frames[self.comm.rank :: self.comm.size]
 
-    def number(self, body: RigidBody | None) -> int | None:
-        """Return the number of a body; None for none."""
-        return next((k for k, frame in enumerate(self.frames) if frame.body is body), None)
+    def frame_of(self, body: RigidBody | None) -> BodyFrame:
+        """Return the frame of a body, which is one of these."""
+        return next(frame for frame in self.frames if frame.body is body)
 
     def moved(self, motions: Sequence[Vector]) -> RigidBodies:
         """Return the bodies after further rotations, up to sums of motions."""
-        places = [p.moved(motion) for p, motion in zip(self.places, motions, strict=True)]
-        return replace(self, places=places)
+        frames = [f.moved(motion) for f, motion in zip(self.frames, motions, strict=True)]
+        return replace(self, frames=frames)
+
+    def placed_as(self, other: RigidBodies) -> RigidBodies:
+        """Return these bodies where the other ones are, which are the same."""
+        frames = [
+            replace(frame, motion=there.motion, turned=there.turned)
+            for frame, there in zip(self.frames, other.frames, strict=True)
+        ]
+        return replace(self, frames=frames)
 
     def subdomains(self, from_here: bool = False) -> list[Subdomain]:
         """Return the subdomains of this rank, with their loads now.
 
         Their displacements are from the undeformed state, or from the places of the bodies.
         """
-        return [
-            subdomain
-            for k in self._mine
-            for subdomain in self.frames[k].subdomains(from_here * self.places[k].motion)
-        ]
+        return [s for f in self._own for s in f.subdomains(from_here * f.motion)]
 
     def motions_after(
         self, displacements: Sequence[Vector], from_here: bool = False
     ) -> list[Vector]:
-        """Return the motions after displacements of this rank's `subdomains`. Collective.
-
-        Displacements of other subdomains may be before these.
-        """
+        """Return motions after displacements that end with this rank's `subdomains`. Collective."""
         motions = np.zeros((len(self.frames), 3 if self.gdim == 2 else 6))
-        position = len(displacements) - sum(len(self.frames[k].templates) for k in self._mine)
-        for k in self._mine:
-            motions[k] = self.frames[k].motion(displacements[position])
-            position += len(self.frames[k].templates)
+        position = len(displacements) - sum(len(frame.templates) for frame in self._own)
+        for motion, frame in zip(motions[self.comm.rank :: self.comm.size], self._own, strict=True):
+            motion[:] = frame.to_motion @ displacements[position]
+            position += len(frame.templates)
         self.comm.Allreduce(MPI.IN_PLACE, motions)
         return [
-            frame.with_prescribed(motion + from_here * place.motion)
-            for frame, place, motion in zip(self.frames, self.places, motions, strict=True)
+            frame.with_prescribed(motion + from_here * frame.motion)
+            for frame, motion in zip(self.frames, motions, strict=True)
         ]
-
-    def ahead(self, k: int, from_here: bool) -> Vector:
-        """Return the motion (modes,) of a body that is not among the unknowns, from its place."""
-        frame, here = self.frames[k], self.places[k].motion
-        start = from_here * here
-        return frame.with_prescribed(start) - here
 
     def loaded(self, loads: Vector) -> RigidBodies:
         """Return the bodies with loads (k, modes) on the cells of the first ones."""
@@ -413,51 +375,45 @@ class RigidBodies:
 
     def saved(self) -> Vector:
         """Return the places as an array (bodies, modes + 4), of motions and quaternions."""
-        rows = [np.append(place.motion, place.turned.as_quat()) for place in self.places]
+        rows = [np.append(frame.motion, frame.turned.as_quat()) for frame in self.frames]
         return np.array(rows).reshape(len(rows), -1 if rows else 0)
 
     def restored(self, saved: Vector) -> RigidBodies:
         """Return the bodies at saved places, or where they are if there are not as many."""
-        if len(saved) != len(self.places):
+        if len(saved) != len(self.frames):
             return self
-        places = [BodyPlace(row[:-4].copy(), Rotation.from_quat(row[-4:])) for row in saved]
-        return replace(self, places=places)
+        frames = [
+            replace(frame, motion=row[:-4].copy(), turned=Rotation.from_quat(row[-4:]))
+            for frame, row in zip(self.frames, saved, strict=True)
+        ]
+        return replace(self, frames=frames)
 
     def free_displacements(self, first: int) -> Vector:
         """Return the displacements of the corners in the free components [m].
 
         They are rows (b, gdim) for the nodes with numbers from `first` on, zero for other nodes.
         """
-        rows = np.zeros((self._last - first + 1 if self.frames else 0, self.gdim))
-        for frame, place in zip(self.frames, self.places, strict=True):
-            free = np.where(frame.body.is_free, place.motion, 0.0)
-            rows[frame.nodes - first] = frame.corner_displacements(free)
+        last = max((frame.nodes[-1] for frame in self.frames), default=first - 1)
+        rows = np.zeros((int(last) - first + 1, self.gdim))
+        for frame in self.frames:
+            free = np.where(frame.body.is_free, frame.motion, 0.0)
+            rows[frame.nodes - first] = frame.displacements(free, frame.corners)
         return rows
-
-    @property
-    def _last(self) -> int:
-        """The largest number of a node."""
-        return int(max(frame.nodes[-1] for frame in self.frames))
 
     def as_vector(self, motions: Sequence[Vector]) -> Vector:
         """Return the displacements of all corners as a vector; empty but on the first rank."""
         if self.comm.rank:
             return np.zeros(0)
         moved = [
-            frame.corner_displacements(motion).ravel()
+            frame.displacements(motion, frame.corners).ravel()
             for frame, motion in zip(self.frames, motions, strict=True)
         ]
         return np.concatenate([np.zeros(0), *moved])
 
     def from_vector(self, part: Vector) -> list[Vector]:
         """Return the motions of a vector as of `as_vector`. Collective."""
-        whole: Vector = self.comm.bcast(part)
-        return [
-            frame.motion(x)
-            for frame, x in zip(
-                self.frames, np.split(whole, max(len(self.frames), 1)), strict=False
-            )
-        ]
+        parts = np.split(self.comm.bcast(part), max(len(self.frames), 1))
+        return [frame.to_motion @ x for frame, x in zip(self.frames, parts, strict=False)]
 
     def free_forces(self, forces: Vector, first: int) -> Vector:
         """Return what load, spring and forces leave of each body's equilibrium.
@@ -466,9 +422,9 @@ class RigidBodies:
         forces (n,) at the corners [N]. Prescribed components count as reached.
         """
         left = [np.zeros(0)]
-        for frame, place in zip(self.frames, self.places, strict=True):
+        for frame in self.frames:
             body, modes = frame.body, _modes(frame.corners - frame.body.point)
-            load = frame.load - body.stiffness @ frame.with_prescribed(place.motion)
+            load = frame.load - body.stiffness @ frame.with_prescribed(frame.motion)
             load += forces[frame.nodes - first].ravel() @ modes
             left.append(frame.nodal(np.where(body.is_free, load, 0.0)))
         return np.concatenate(left)
@@ -502,7 +458,7 @@ class RigidBodyResult:
     reaction_moment: list[float]
 
     @staticmethod
-    def of(frame: BodyFrame, place: BodyPlace, force: Vector, moment: Vector) -> RigidBodyResult:
+    def of(frame: BodyFrame, force: Vector, moment: Vector) -> RigidBodyResult:
         """Return the result for contact forces and their moment about the origin."""
         body, gdim = frame.body, frame.body.gdim
         r = body.point
@@ -511,8 +467,8 @@ class RigidBodyResult:
         held = 0.0 - (frame.load + contact)
         return RigidBodyResult(
             frame.name,
-            place.motion[:gdim].tolist(),
-            place.rotation.tolist(),
+            frame.motion[:gdim].tolist(),
+            frame.rotation.tolist(),
             contact[:gdim].tolist(),
             contact[gdim:].tolist(),
             held[:gdim].tolist(),
@@ -550,21 +506,13 @@ def _spring(modes: Vector, stiffness: Vector) -> sp.csr_matrix:
     return sp.csr_matrix(0.5 * (K + K.T))
 
 
-def find_frames(
-    bodies: Sequence[RigidBody],
-    box_of: Callable[[RigidBody], Vector],
-    first: tuple[int, int],
-    known: Sequence[BodyFrame],
-) -> list[BodyFrame]:
-    """Return the frames of bodies; `first` are the first free numbers of a node and of a body.
-
-    `box_of` returns the corners (2, gdim) of a box with the body's contacts, the same on all ranks.
-    """
-    frames = list[BodyFrame]()
-    node, number = first
-    for k, body in enumerate(bodies):
-        name = body.name or f"rigid body {k}"
-        known_frame = known[k] if k < len(known) else None
-        start = node + k * (body.gdim + 1)
-        frames.append(BodyFrame.build(body, name, box_of(body), start, number + k, known_frame))
-    return frames
+def are_same(subdomains: Sequence[Subdomain], others: Sequence[Subdomain]) -> bool:
+    """Tell whether subdomains have the same matrices, nodes and bodies."""
+    return len(subdomains) == len(others) and all(
+        np.array_equal(s.nodes, t.nodes)
+        and np.array_equal(s.coordinates, t.coordinates)
+        and s.body == t.body
+        and s.has_kernel_of(t)
+        and (s.stiffness != t.stiffness).nnz == 0
+        for s, t in zip(subdomains, others, strict=True)
+    )

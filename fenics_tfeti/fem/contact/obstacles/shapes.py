@@ -1,22 +1,34 @@
-"""Rigid obstacles x -> (gap, normal): plane, sphere, cylinder, and the user's, checked."""
+"""Rigid obstacles x -> (gap, normal): plane, sphere, cylinder, facets, and the user's, checked."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, facet_normals
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
-from fenics_tfeti.fem.user_data import as_coordinates, as_direction, evaluate, is_number
+from fenics_tfeti.fem.user_data import as_coordinates, as_direction, as_points, evaluate, is_number
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
+
+# bytes of a binary STL file before its triangles, and the layout of these
+_STL_HEADER = 84
+_STL_TRIANGLE = np.dtype([("vectors", "<f4", (4, 3)), ("attributes", "<u2")])
 
 Obstacle = Callable[[Vector], tuple[ArrayLike, ArrayLike] | ArrayLike]
 
@@ -39,7 +51,6 @@ class Plane:
 
     Examples
     --------
-    >>> import numpy as np
     >>> gap, normal = Plane(point=(0, 0, 0), normal=(0, 0, 2))(np.array([[0.0], [0.0], [0.5]]))
     >>> gap.tolist(), normal.ravel().tolist()
     ([0.5], [0.0, 0.0, 1.0])
@@ -85,7 +96,6 @@ class Sphere:
 
     Examples
     --------
-    >>> import numpy as np
     >>> x = np.array([[0.0], [0.0], [3.0]])
     >>> gap, normal = Sphere(centre=(0, 0, 0), radius=2)(x)
     >>> gap.tolist(), normal.ravel().tolist()
@@ -136,7 +146,6 @@ class Cylinder:
 
     Examples
     --------
-    >>> import numpy as np
     >>> x = np.array([[3.0], [7.0], [4.0]])
     >>> gap, normal = Cylinder(point=(0, 0, 0), axis=(0, 1, 0), radius=2)(x)
     >>> gap.tolist(), normal.ravel().tolist()
@@ -171,6 +180,110 @@ class Cylinder:
         return _radial_gap(x, outward, self.radius, self.hollow, "on the axis of the cylinder")
 
 
+@dataclass(frozen=True, eq=False)
+class FacetedObstacle:
+    """A rigid obstacle whose surface is made of segments (2D) or triangles (3D).
+
+    The surface is open or closed. Facets are oriented: seen from outside, the corners of a triangle
+    follow each other anticlockwise; along a segment the outside is on the right.
+
+    Attributes
+    ----------
+    points : (n, gdim) array-like
+        Corners [m].
+    facets : (m, gdim) integer array-like
+        The corners of each facet, rows of `points`.
+
+    Raises
+    ------
+    InputError
+        If there are no facets, or they have no size or other corners than `points`.
+
+    Examples
+    --------
+    >>> ground = FacetedObstacle(points=[(1, 0), (0, 0)], facets=[(0, 1)])
+    >>> gap, normal = ground(np.array([[0.5], [0.2], [0.0]]))
+    >>> gap.tolist(), normal.ravel().tolist()
+    ([0.2], [0.0, 1.0])
+    """
+
+    points: ArrayLike
+    facets: ArrayLike
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        points = as_points(self.points, "FacetedObstacle: the points")
+        facets = np.asarray(self.facets)
+        gdim = points.shape[1]
+        if facets.ndim != 2 or facets.shape[1] != gdim or facets.dtype.kind not in "iu":
+            raise InputError(
+                f"FacetedObstacle: the facets have shape {facets.shape} and type {facets.dtype}; "
+                f"integers of shape (m, {gdim}) are expected, {gdim} corners for each"
+            )
+        if not len(facets) or facets.min() < 0 or facets.max() >= len(points):
+            raise InputError(
+                f"FacetedObstacle: {len(facets)} facets with corners that are not all rows of the "
+                f"{len(points)} points"
+            )
+        if not np.linalg.norm(facet_normals(points[facets]), axis=1).any():
+            raise InputError("FacetedObstacle: no facet has a size")
+
+    @staticmethod
+    def from_stl(path: str | os.PathLike[str], scale: float = 1.0) -> FacetedObstacle:
+        """Read an STL file, of text or binary.
+
+        Parameters
+        ----------
+        path : path-like
+            The file; each rank reads it.
+        scale : float
+            Factor of the coordinates, such as 1e-3 for a file in mm.
+
+        Raises
+        ------
+        InputError
+            If the file has no triangles, or is no STL file.
+        OSError
+            If it cannot be read.
+        """
+        if not is_number(scale) or scale <= 0.0:
+            raise InputError(f"from_stl: scale is {scale!r}; a positive number is expected")
+        corners = _stl_corners(Path(path)) * scale
+        points, facets = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
+        return FacetedObstacle(points, facets.reshape(-1, 3))
+
+    @staticmethod
+    def from_mesh(mesh: Mesh, facet_tags: Any, tag: int) -> FacetedObstacle:
+        """Take the surface of a mesh's facets with a tag. Collective.
+
+        The mesh is that of the rigid body, which is no part of the problem's mesh.
+
+        Raises
+        ------
+        InputError
+            If the tag is on no facet.
+        """
+        boundary = MeshBoundary.of(
+            _compat.lagrange_space(mesh, _compat.geometry_degree(mesh), mesh.geometry.dim)
+        )
+        surface = tagged_surface(boundary, facet_tags, tag, "the obstacle")
+        facets = surface.gathered().facets
+        with raise_collectively(mesh.comm):
+            return FacetedObstacle(facets.with_centres(facets.points), facets.simplices())
+
+    @cached_property
+    def _surface(self) -> FacetedSurface:
+        points, facets = np.asarray(self.points, dtype=float), np.asarray(self.facets)
+        whole = np.linalg.norm(facet_normals(points[facets]), axis=1) > 0.0
+        return FacetedSurface(points, facets[whole].astype(np.int64))
+
+    def __call__(self, x: Vector) -> tuple[Vector, Vector]:
+        """Return the distances and normals at points x of shape (3, n)."""
+        gdim = np.shape(self.points)[1]
+        distance = self._surface.distance(np.ascontiguousarray(x[:gdim].T))
+        return distance.signed, distance.normal.T
+
+
 def gap_and_normal(
     comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
 ) -> tuple[Vector, Vector]:
@@ -185,26 +298,20 @@ def gap_and_normal(
     nothing = gap >= NO_OBSTACLE
     gap = np.where(nothing, np.inf, gap)
     outward = np.where(nothing[:, None], -normal, outward)
-    raise_where(
-        comm,
-        ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)),
-        points[:, :gdim],
-        lambda number, place: (
+    if bad := first_wrong(
+        comm, ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)), points[:, :gdim]
+    ):
+        raise InputError(
             f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
-            f"{number} points, the first at {place}. Only the gap may be +inf, where there is no "
-            "obstacle"
-        ),
-    )
+            f"{bad.number} points, the first at {bad.place}. Only the gap may be +inf, where there "
+            "is no obstacle"
+        )
     length = np.linalg.norm(outward, axis=1)
-    raise_where(
-        comm,
-        np.abs(length - 1.0) > UNIT_LENGTH,
-        points[:, :gdim],
-        lambda number, place: (
-            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at {number} "
-            f"points, the first at {place}. Divide it by its length"
-        ),
-    )
+    if bad := first_wrong(comm, np.abs(length - 1.0) > UNIT_LENGTH, points[:, :gdim]):
+        raise InputError(
+            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
+            f"{bad.number} points, the first at {bad.place}. Divide it by its length"
+        )
     facing = np.sum(outward * normal, axis=1) < 0.0
     total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
     if total and not faced:
@@ -223,27 +330,22 @@ def _evaluate_obstacle(
     k, gdim = normal.shape
     if k == 0:  # a user's function may fail for no points
         return np.zeros(0), np.zeros((0, gdim))
-    gap, outward = _split(evaluate(obstacle, points, f"{name}: the obstacle"), name)
-    if outward is None:
-        outward = -normal.T
+    values = evaluate(obstacle, points, f"{name}: the obstacle")
+    try:
+        is_pair = isinstance(values, tuple | list) and len(values) == 2 and np.ndim(values[1]) > 0
+        gap, outward = (
+            np.asarray(part, dtype=float) for part in (values if is_pair else (values, -normal.T))
+        )
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
+        ) from None
     if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
         raise InputError(
             f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
             f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
         )
     return gap, outward[:gdim].T
-
-
-def _split(values: Any, name: str) -> tuple[Vector, Vector | None]:
-    """Split what the function returned into gap and normal; None where it returned no normal."""
-    try:
-        if isinstance(values, (tuple, list)) and len(values) == 2 and np.ndim(values[1]) > 0:
-            return np.asarray(values[0], dtype=float), np.asarray(values[1], dtype=float)
-        return np.asarray(values, dtype=float), None
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
-        ) from None
 
 
 def _radial_gap(
@@ -265,3 +367,21 @@ def _radial_gap(
 def _check_radius(radius: float, kind: str) -> None:
     if not is_number(radius) or radius <= 0.0:
         raise InputError(f"the {kind}'s radius is {radius!r}: a positive number is expected")
+
+
+def _stl_corners(path: Path) -> NDArray[np.float64]:
+    """Return the corners (m, 3, 3) of the triangles of a file."""
+    content = path.read_bytes()
+    count = int(np.frombuffer(content[80:_STL_HEADER], "<u4")[0]) if len(content) > 84 else 0
+    if count and len(content) == _STL_HEADER + count * _STL_TRIANGLE.itemsize:
+        triangles = np.frombuffer(content, _STL_TRIANGLE, count, _STL_HEADER)
+        return triangles["vectors"][:, 1:].astype(np.float64)
+    words = content.split()
+    places = [k for k, word in enumerate(words) if word.lower() == b"vertex"]
+    try:
+        corners = np.array([[float(w) for w in words[k + 1 : k + 4]] for k in places])
+        if not len(corners):
+            raise ValueError("no triangles")
+        return corners.reshape(-1, 3, 3)
+    except ValueError as error:
+        raise InputError(f"{path}: not an STL file: {error}") from None

@@ -14,7 +14,10 @@ class BoxTree:
     """A balanced binary tree of boxes around facets with corners (m, v, gdim), level by level."""
 
     def __init__(self, corners: Vector) -> None:
-        facets_of_leaf = 2
+        facets_of_leaf, count = 2, len(corners)
+        if not count:
+            # a box that meets nothing
+            corners = np.full((1, *corners.shape[1:]), np.inf)
         depth = max(0, int(np.ceil(np.log2(len(corners) / facets_of_leaf))))
         leaf = -(-len(corners) // 2**depth)
         # copies of some facets, so that all boxes of a level hold equally many
@@ -32,7 +35,7 @@ class BoxTree:
                 longest = np.argmax([x.max(axis=1) - x.min(axis=1) for x in places], axis=0)
                 place = np.choose(longest[:, None], places)
                 order = np.take_along_axis(order, place.argsort(axis=1), axis=1)
-        self._leaves: Numbers = np.where(order < len(corners), order, -1)
+        self._leaves: Numbers = np.where(order < count, order, -1)
         # from the leaves up: the box of two halves is that around their boxes
         self._low, self._high = [low[order].min(axis=1)], [high[order].max(axis=1)]
         for _ in range(depth):
@@ -40,10 +43,13 @@ class BoxTree:
             self._high.append(np.maximum(self._high[-1][::2], self._high[-1][1::2]))
         self._low.reverse()
         self._high.reverse()
-        # the longest side of the box around all facets [m]
-        self.size = float((self._high[0] - self._low[0]).max())
 
-    def boxes(self, limit: int) -> tuple[Vector, Vector]:
+    @property
+    def size(self) -> float:
+        """The longest side of the box around all facets [m]."""
+        return float((self._high[0] - self._low[0]).max())
+
+    def boxes(self, limit: int = 64) -> tuple[Vector, Vector]:
         """Return lower and upper corners (b, gdim) of a level with as many boxes up to `limit`."""
         level = max(k for k, low in enumerate(self._low) if len(low) <= max(1, limit))
         return self._low[level], self._high[level]

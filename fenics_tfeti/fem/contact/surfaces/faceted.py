@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, ON_CORNER, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -52,11 +53,16 @@ class FacetedSurface:
     def __init__(self, points: Vector, facets: Numbers) -> None:
         self._corners = points[facets]
         areas = facet_normals(self._corners)
-        self._normals = _unit(areas)
+        self._normals = unit(areas)
         self._centres = cKDTree(self._corners.mean(axis=1))
         self._tree = BoxTree(self._corners)
         self._rounding = COORDINATE_ROUNDING * float(np.abs(points).max(initial=0.0))
         self._describe_features(facets)
+
+    @staticmethod
+    def of(facets: Facets) -> FacetedSurface:
+        """Return the surface of segments or triangles that facets are divided into."""
+        return FacetedSurface(facets.with_centres(facets.points), facets.simplices())
 
     def _describe_features(self, facets: Numbers) -> None:
         """Describe the features of each facet: corners, edges (3D) and the interior.
@@ -66,7 +72,7 @@ class FacetedSurface:
         from outside (Baerentzen and Aanaes 2005).
         """
         m, gdim = facets.shape
-        sizes = _edge_lengths(self._corners).max(axis=1)
+        sizes = edge_lengths(self._corners).max(axis=1)
         if gdim == 2:
             weights, keys = np.ones((m, 2)), facets
             border = np.bincount(facets.ravel())[facets] == 1
@@ -87,7 +93,7 @@ class FacetedSurface:
         np.maximum.at(halves, keys, 0.5 * np.broadcast_to(sizes[:, None], keys.shape))
         interior = np.zeros((m, 1), dtype=bool)
         self._feature_normals = np.concatenate(
-            [_unit(normals)[keys], self._normals[:, None, :]], axis=1
+            [unit(normals)[keys], self._normals[:, None, :]], axis=1
         )
         self._feature_border = np.hstack([border, interior])
         self._feature_half = np.hstack([halves[keys], 0.5 * sizes[:, None]])
@@ -114,10 +120,7 @@ class FacetedSurface:
         return Distance(signed, normal)
 
     def closest(self, x: Vector) -> tuple[Numbers, Vector]:
-        """Return the facet (k,) that is closest to each point, and the place in it.
-
-        The place is the closest point's barycentric coordinates (k, gdim).
-        """
+        """Return the facets (k,) closest to points, and barycentric coordinates (k, gdim) there."""
         blocks = [self._closest(part)[:2] for part in _blocks(x)]
         point, facet = (np.concatenate(column) for column in zip(*blocks, strict=True))
         return facet, _barycentric(self._corners[facet], point)
@@ -204,22 +207,23 @@ def _blocks(rows: Vector) -> list[Vector]:
     return np.array_split(rows, -(-len(rows) // points_of_block)) if len(rows) else [rows]
 
 
-def _unit(vectors: Vector) -> Vector:
+def unit(vectors: Vector) -> Vector:
     """Return unit vectors; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     units: Vector = vectors / np.where(length > 0.0, length, 1.0)
     return units
 
 
-def _edge_lengths(corners: Vector) -> Vector:
+def edge_lengths(corners: Vector) -> Vector:
+    """Return the lengths (m, v) of the edges from each corner (m, v, gdim) to the next."""
     lengths: Vector = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
     return lengths
 
 
 def _angles(corners: Vector) -> Vector:
     """Return the angles of triangles at their corners, (m, 3)."""
-    forward = _unit(np.roll(corners, -1, axis=1) - corners)
-    backward = _unit(np.roll(corners, 1, axis=1) - corners)
+    forward = unit(np.roll(corners, -1, axis=1) - corners)
+    backward = unit(np.roll(corners, 1, axis=1) - corners)
     angles: Vector = np.arccos(np.clip(np.sum(forward * backward, axis=2), -1.0, 1.0))
     return angles
 

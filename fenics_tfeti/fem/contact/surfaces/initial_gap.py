@@ -13,13 +13,16 @@ from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.typing import Vector
 
 
-def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
+def chord_heights(
+    corners: Vector, normals: Vector, middles: Vector | None = None
+) -> tuple[Vector, Vector]:
     """Return distances (f,) of facets from curved surfaces through their nodes, with normals [m].
 
     Between two corners it is the height of a circle's segment, length times angle / 8. Inside a
     triangle it is up to 4/3 of that between two of its corners, inside a quadrilateral that between
     the ends of a diagonal. Nodes in the middle take their own height off it; what is left is the
-    height of the two halves, a quarter, and the difference. Corners and unit normals are (f, v,
+    height of the two halves, a quarter, and the difference. The second result are the distances
+    less the curvature of the facets: next to none for degree 2. Corners and unit normals are (f, v,
     gdim), the other nodes of facets of degree 2 (f, t - v, gdim), see `Facets`.
 
     Examples
@@ -28,21 +31,9 @@ def chord_heights(corners: Vector, normals: Vector, middles: Vector | None = Non
 
     >>> angle = np.array([-0.1, 0.1])
     >>> ends = np.stack([np.sin(angle), np.cos(angle)], axis=1)[None]
-    >>> float(np.round(chord_heights(ends, ends)[0], 6)), float(np.round(1 - np.cos(0.1), 6))
+    >>> float(np.round(chord_heights(ends, ends)[0][0], 6)), float(np.round(1 - np.cos(0.1), 6))
     (0.004983, 0.004996)
     """
-    height, node_height = _heights(corners, normals, middles)
-    return _largest(np.abs(height - node_height) + node_height / 4.0, corners)
-
-
-def facet_deviations(corners: Vector, normals: Vector, middles: Vector | None = None) -> Vector:
-    """Return `chord_heights` less the curvature of the facets: next to none for degree 2."""
-    height, node_height = _heights(corners, normals, middles)
-    return _largest(np.maximum(height - node_height, 0.0), corners)
-
-
-def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[Vector, Vector]:
-    """Return between two corners each (q, f) the height of the segment, and of the middle node."""
     v = corners.shape[1]
     heights, node_heights = [], []
     for i, j in combinations(range(v), 2):
@@ -52,15 +43,11 @@ def _heights(corners: Vector, normals: Vector, middles: Vector | None) -> tuple[
         middle = 0.5 * (corners[:, i] + corners[:, j])
         node = middle if middles is None else middles[:, _middle(i, j, v)]
         node_heights.append(np.linalg.norm(node - middle, axis=1))
-    return np.array(heights), np.array(node_heights)
-
-
-def _largest(heights: Vector, corners: Vector) -> Vector:
-    """Return the largest height in each facet from those between its corners (q, f)."""
-    largest: Vector = heights.max(axis=0, initial=0.0) * (
-        4.0 / 3.0 if corners.shape[1] == 3 else 1.0
-    )
-    return largest
+    height, node_height = np.array(heights), np.array(node_heights)
+    chord = np.abs(height - node_height) + node_height / 4.0
+    deviation = np.maximum(height - node_height, 0.0)
+    in_facet = 4.0 / 3.0 if v == 3 else 1.0
+    return in_facet * chord.max(axis=0), in_facet * deviation.max(axis=0)
 
 
 def _middle(i: int, j: int, v: int) -> int:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.mortar.candidates import REACH
+from fenics_tfeti.fem.contact.mortar.cells import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
@@ -24,9 +24,6 @@ from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 Boxes = tuple[Vector, Vector]
-
-# Boxes by which a rank describes its part of a surface to the others.
-_BOXES = 64
 
 
 def gather_nearby(
@@ -46,7 +43,7 @@ def gather_nearby(
     if displacement is not None:
         points = points + boundary.nodes.values(displacement)
     rows, nodes = (part.facet_nodes.astype(np.int64) for part in (surface, other))
-    tree = BoxTree(points[rows]) if len(rows) else None
+    tree = BoxTree(points[rows])
     nodes = np.concatenate([nodes, np.repeat(other.local[:, None], nodes.shape[1], axis=1)])
     distance = _distances(comm, points, nodes, rows, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
@@ -56,23 +53,22 @@ def gather_nearby(
 
 
 def _distances(
-    comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, tree: BoxTree | None
+    comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, tree: BoxTree
 ) -> Vector:
     """Return the distance (n,) of each local node on the other surface's facets from the surface.
 
     It is that from the surface's nodes and the centres of its facets, as in `MasterTree`; zero at
     other nodes.
     """
-    gdim = points.shape[1]
     queried = np.unique(nodes)
     x = points[queried]
-    boxes = gather_boxes(comm, tree, gdim)
+    boxes = comm.allgather(tree.boxes())
     # the surface is not farther than the farthest point of any box
     nearest, farthest = zip(*(_range(x, low, high) for low, high in boxes), strict=True)
     queries = [np.flatnonzero(part <= np.min(farthest, axis=0)) for part in nearest]
     received = all_to_all(comm, [x[query] for query in queries])
     answers = [np.zeros(len(part)) for part in received]
-    if tree is not None:
+    if len(rows):
         corners = Facets(points, rows).coordinates()
         places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
         answers = [places.query(part)[0] if len(part) else np.zeros(0) for part in received]
@@ -96,20 +92,11 @@ def _needed_boxes(
     low, high = x.min(axis=1), x.max(axis=1)
     reach = REACH * distance[nodes].max(axis=1) + np.linalg.norm(high - low, axis=1) + margin
     boxes = np.stack([low - reach[:, None], high + reach[:, None]], axis=1)
-    return gather_boxes(comm, BoxTree(boxes) if len(boxes) else None, points.shape[1])
+    return list(comm.allgather(BoxTree(boxes).boxes()))
 
 
-def gather_boxes(comm: MPI.Intracomm, tree: BoxTree | None, gdim: int) -> list[Boxes]:
-    """Return for each rank boxes around its facets, few for each; None has none. Collective."""
-    return list(comm.allgather(_no_boxes(gdim) if tree is None else tree.boxes(_BOXES)))
-
-
-def facets_in_boxes(
-    comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree | None
-) -> list[Numbers]:
+def facets_in_boxes(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree) -> list[Numbers]:
     """Return this rank's facets of the surface that meet the boxes of each rank."""
-    if tree is None:
-        return [np.zeros(0, dtype=np.int64)] * comm.size
     rank = np.repeat(np.arange(comm.size), [len(low) for low, _ in needed])
     low, high = (np.concatenate(ends) for ends in zip(*needed, strict=True))
 
@@ -119,10 +106,6 @@ def facets_in_boxes(
 
     query, facet = tree.candidates(len(rank), overlaps)
     return [np.unique(facet[rank[query] == destination]) for destination in range(comm.size)]
-
-
-def _no_boxes(gdim: int) -> Boxes:
-    return np.zeros((0, gdim)), np.zeros((0, gdim))
 
 
 def _range(x: Vector, low: Vector, high: Vector) -> tuple[Vector, Vector]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.typing import Numbers, Vector
@@ -58,10 +58,7 @@ class SurfaceFacets:
         """
         if self.vertex_normals is not None:
             return self.vertex_normals
-        total, _ = self._integrals
-        length = np.linalg.norm(total, axis=1)
-        units: Vector = total / np.where(length > 0.0, length, 1.0)[:, None]
-        return units
+        return unit(self._integrals[0])
 
     @cached_property
     def _integrals(self) -> tuple[Vector, Vector]:
@@ -86,17 +83,6 @@ class SurfaceFacets:
                 "displacements are small enough for linear elasticity"
             )
 
-    def faceted(self) -> FacetedSurface:
-        """Return the surface of segments or triangles."""
-        return FacetedSurface(*self.simplices())
-
-    def simplices(self) -> tuple[Vector, Numbers]:
-        """Return points and segments or triangles, four for each quadrilateral.
-
-        Facets of degree 2 are replaced by their pieces.
-        """
-        return self._with_centres(self.points), self._simplices()
-
     def from_corners(self, values: Vector) -> Vector:
         """Return values (n, ...) at all nodes, interpolated by those at the facets' corners."""
         corners, t = self.facets.corners, self.facets.nodes.shape[1]
@@ -107,32 +93,10 @@ class SurfaceFacets:
         return filled
 
     def interpolate(self, values: Vector, x: Vector) -> Vector:
-        """Interpolate nodal values (n, v) at the points of the undeformed surface closest to x.
-
-        They are linear on segments and triangles, or the pieces of facets of degree 2.
-        """
-        simplices = self._simplices()
-        undeformed = FacetedSurface(self._with_centres(self.points - self.displacement), simplices)
-        facet, weights = undeformed.closest(x)
-        corners = self._with_centres(values)[simplices[facet]]
+        """Interpolate nodal values (n, v) on undeformed simplices at their points closest to x."""
+        facets, simplices = self.facets, self.facets.simplices()
+        places = facets.with_centres(self.points - self.displacement)
+        facet, weights = FacetedSurface(places, simplices).closest(x)
+        corners = facets.with_centres(values)[simplices[facet]]
         interpolated: Vector = np.einsum("kc,kcv->kv", weights, corners)
         return interpolated
-
-    def _simplices(self) -> Numbers:
-        """Return segments or triangles; a quadrilateral is four triangles around its centre."""
-        pieces = self.facets.pieces
-        if pieces.shape[1] != 4:
-            return pieces
-        centre = len(self.points) + np.arange(len(pieces))
-        triangles = [
-            np.column_stack([start, end, centre])
-            for start, end in zip(pieces.T, np.roll(pieces, -1, axis=1).T, strict=True)
-        ]
-        return np.concatenate(triangles)
-
-    def _with_centres(self, values: Vector) -> Vector:
-        """Return values at nodes, followed by those at the centres of quadrilaterals."""
-        pieces = self.facets.pieces
-        if pieces.shape[1] != 4:
-            return values
-        return np.concatenate([values, values[pieces].mean(axis=1)])

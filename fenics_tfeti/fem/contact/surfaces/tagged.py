@@ -11,25 +11,22 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Constant, Function, FunctionSpace
+from dolfinx.mesh import Mesh
+from ufl.algorithms import extract_arguments
+from ufl.core.expr import Expr
+from ufl.corealg.traversal import traverse_unique_terminals
+from ufl.domain import extract_domains
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
-from fenics_tfeti.fem.contact.surfaces.oriented import (
-    corner_normals,
-    oriented_facets,
-    owned_facets,
-)
+from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.messages import coordinate_order, raise_where
+from fenics_tfeti.fem.messages import coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.tolerances import (
-    COORDINATE_ROUNDING,
-    RELATIVE_ROUNDING,
-    VANISHING_NORMAL,
-)
+from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
     cell_facets,
     cell_type,
@@ -135,20 +132,14 @@ class Surface:
         return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * self.extent, 0.0, lengths)
 
     def at_corners(self, values: Array) -> Array:
-        """Return values at the corners (f, v, ...) of this rank's facets. Collective.
-
-        The values (k, ...) are those at the nodes that this rank owns.
-        """
+        """Return values (k, ...) at owned nodes at the facets' corners (f, v, ...). Collective."""
         nodes = self.boundary.nodes
         table = np.zeros((nodes.owned, *values.shape[1:]), dtype=values.dtype)
         table[self.local] = values
         return nodes.values_at(table, nodes.to_global(self.vertices))
 
     def sum_of_corners(self, values: Array, ufunc: Any = np.add) -> Array:
-        """Sum values (f, v, ...) of the corners of all ranks' facets at the nodes. Collective.
-
-        The sums (k, ...) are at the nodes that this rank owns; see `NodeMap.sum_at_owners`.
-        """
+        """Sum values (f, v, ...) at corners of facets at their owned nodes (k, ...). Collective."""
         nodes, vertices = self.boundary.nodes, self.vertices
         flat = values.reshape(vertices.size, *values.shape[2:])
         sums = nodes.sum_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
@@ -174,26 +165,18 @@ class Surface:
     def check_weight(self, weighted: Vector, rows: Numbers | slice, name: str) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
         mean, points = weighted / self.area[rows], self.points[rows]
-        raise_where(
-            self.comm,
-            ~np.isfinite(mean),
-            points,
-            lambda number, place: (
-                f"slave of {name}: measure_weight is NaN or infinite around {number} nodes, the "
-                f"first at {place}"
-            ),
-        )
+        if bad := first_wrong(self.comm, ~np.isfinite(mean), points):
+            raise InputError(
+                f"slave of {name}: measure_weight is NaN or infinite around {bad.number} nodes, "
+                f"the first at {bad.place}"
+            )
         largest = self.comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
-        raise_where(
-            self.comm,
-            mean <= RELATIVE_ROUNDING * largest,
-            points,
-            lambda number, place: (
-                f"slave of {name}: measure_weight is negative or zero around {number} nodes, the "
-                f"first at {place}: as the factor of ds it has to be positive there. Has the mesh "
-                "nodes of negative radius, or is a surface on the axis tagged?"
-            ),
-        )
+        if bad := first_wrong(self.comm, mean <= RELATIVE_ROUNDING * largest, points):
+            raise InputError(
+                f"slave of {name}: measure_weight is negative or zero around {bad.number} nodes, "
+                f"the first at {bad.place}: as the factor of ds it has to be positive there. Has "
+                "the mesh nodes of negative radius, or is a surface on the axis tagged?"
+            )
 
     def areas(self, covered: Mask, name: str) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.
@@ -244,28 +227,28 @@ class Surface:
         """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
         return SurfaceFacets.joined(self.comm.allgather(self.part(displacement)))
 
-    def gathered_nodes(self) -> MasterNodes:
+    def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
         columns = (self.nodes, self.points, self.normal, self.size)
         nodes, points, normal, size = (concatenate_ranks(self.comm, column) for column in columns)
         # of equally near nodes, the same is then chosen however the mesh is distributed
         order = coordinate_order(points)
-        return MasterNodes(nodes[order], points[order], normal[order], size[order])
+        return SurfaceNodes(nodes[order], points[order], normal[order], size[order])
 
 
 @dataclass(frozen=True)
-class MasterNodes:
-    """All nodes of a master's surface, on every rank and in one order for any number of ranks."""
+class SurfaceNodes:
+    """All nodes of a surface, on every rank and in one order for any number of ranks."""
 
     nodes: Numbers  # global nodes (m,)
     points: Vector  # (m, gdim) [m]
     normal: Vector  # outward unit normals (m, gdim)
     size: Vector  # (m,): mean edge length of the smallest of the facets at the node [m]
 
-    def without(self, nodes: Numbers) -> MasterNodes:
+    def without(self, nodes: Numbers) -> SurfaceNodes:
         """Leave out some nodes."""
         kept = ~np.isin(self.nodes, nodes)
-        return MasterNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
+        return SurfaceNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
 
 
 def tagged_surface(
@@ -299,7 +282,7 @@ def tagged_surface(
     integrals = np.concatenate([weighted, sizes], axis=2).reshape(-1, gdim + 1)
     sums = nodes.sum_at_owners(numbers, integrals)[local]
     # of a segment both edges are the segment
-    edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2).mean(axis=1)
+    edges = edge_lengths(corners).mean(axis=1)
     size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
     normal, area = _normals_and_areas(
         comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
@@ -319,29 +302,20 @@ def _check_tags(domain: Any, facet_tags: Any, label: str) -> None:
 
 
 def _check_facets(
-    boundary: MeshBoundary,
-    facet_tags: Any,
-    tag: int,
-    facets: Indices,
-    middles: Vector,
-    label: str,
+    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, middles: Vector, label: str
 ) -> None:
     comm = boundary.space.mesh.comm
     number = comm.allreduce(facets.size)
     if number == 0:
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
-    raise_where(
-        comm,
-        ~boundary.exterior[facets],
-        middles,
-        lambda interior, place: (
-            f"{label}: {interior} of the {number} facets with tag {tag} are inside a body, or "
-            f"between bodies that share their nodes, the first around {place}: only facets on the "
-            "boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get nodes "
-            "of their own by fenics_tfeti.io.split_interfaces"
-        ),
-    )
+    if bad := first_wrong(comm, ~boundary.exterior[facets], middles):
+        raise InputError(
+            f"{label}: {bad.number} of the {number} facets with tag {tag} are inside a body, or "
+            f"between bodies that share their nodes, the first around {bad.place}: only facets on "
+            "the boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get "
+            "nodes of their own by fenics_tfeti.io.split_interfaces"
+        )
 
 
 def _normals_and_areas(
@@ -352,33 +326,51 @@ def _normals_and_areas(
     user_normal: VectorField | None,
     label: str,
 ) -> tuple[Vector, Vector]:
-    """Return unit normals (k, gdim) and the areas (k,) projected along them.
-
-    `weighted` are the integrals of the normal, `facet_area` those of its length.
-    """
+    """Return unit normals and areas (k,) from integrals of the normal and of its length."""
     gdim = weighted.shape[1]
     length = np.linalg.norm(weighted, axis=1)
     minimum = VANISHING_NORMAL * facet_area
     if user_normal is None:
-        raise_where(
-            comm,
-            length <= minimum,
-            coordinates[:, :gdim],
-            lambda number, place: (
-                f"{label}: the normals of the facets around {number} nodes cancel, the first at "
-                f"{place}: tag one side of an edge only, or give a normal"
-            ),
-        )
+        if bad := first_wrong(comm, length <= minimum, coordinates[:, :gdim]):
+            raise InputError(
+                f"{label}: the normals of the facets around {bad.number} nodes cancel, the first "
+                f"at {bad.place}: tag one side of an edge only, or give a normal"
+            )
         return weighted / length[:, None], length
     normal = unit_vectors(comm, user_normal, coordinates, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
-    raise_where(
-        comm,
-        area <= minimum,
-        coordinates[:, :gdim],
-        lambda number, place: (
-            f"the normal of the {label} points into the body or along its surface at {number} "
-            f"nodes, the first at {place}: it has to point out of the slave, as the facets' do"
-        ),
-    )
+    if bad := first_wrong(comm, area <= minimum, coordinates[:, :gdim]):
+        raise InputError(
+            f"the normal of the {label} points into the body or along its surface at {bad.number} "
+            f"nodes, the first at {bad.place}: it has to point out of the slave, as the facets' do"
+        )
     return normal, area
+
+
+def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
+    """Return the weight of the measure as an expression of UFL, checked; None for none."""
+    if weight is None:
+        return None
+    if isinstance(weight, int | float | np.number) and not isinstance(weight, bool):
+        # a Constant: for each number in the expression, code would be compiled anew
+        return Constant(domain, float(weight))
+    if not isinstance(weight, Expr):
+        raise InputError(
+            f"measure_weight is a {type(weight).__name__}; a scalar expression of UFL or a number "
+            "is expected, such as 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]"
+        )
+    if weight.ufl_shape or weight.ufl_free_indices:
+        raise InputError(
+            f"measure_weight has shape {weight.ufl_shape}; a scalar is expected, by which ds is "
+            "multiplied in the forms"
+        )
+    if extract_arguments(weight):
+        raise InputError(
+            "measure_weight contains a test or trial function; give the factor of ds in the forms "
+            "alone"
+        )
+    mesh_domain = domain.ufl_domain()
+    for terminal in traverse_unique_terminals(weight):
+        if any(part != mesh_domain for part in extract_domains(terminal)):
+            raise InputError("measure_weight is on another mesh than the displacement")
+    return weight

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from facet_grids import chain, grid
 
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
-from fenics_tfeti.fem.contact.mortar.cells import covering_cells
+from fenics_tfeti.fem.contact.mortar.cells import MasterTree, covering_cells
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 
 

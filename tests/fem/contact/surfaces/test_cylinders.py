@@ -9,7 +9,7 @@ import pytest
 
 from dolfinx import mesh as dmesh
 
-from fenics_tfeti.fem.contact.surfaces.cylinders import Cylinder, without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.normals import Cylinder, without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.io import displacement_space
 

@@ -15,8 +15,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces.measure_weight import as_ufl_weight
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, as_ufl_weight
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 

@@ -11,7 +11,7 @@ from scenes import Scene, at
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.mortar.candidates import MasterTree
+from fenics_tfeti.fem.contact.mortar.cells import MasterTree
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby

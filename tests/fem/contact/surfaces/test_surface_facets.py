@@ -7,7 +7,7 @@ import pytest
 from moved_blocks import CELLS, blocks, lifted, turned
 from scenes import SLAVE, dimension
 
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, facet_normals
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
@@ -22,7 +22,7 @@ def surface(cell, motion=None, n=3):
 @every_cell
 def test_facets_point_out_of_the_body(cell):
     found = surface(cell)
-    faceted = found.faceted()
+    faceted = FacetedSurface.of(found.facets)
     assert len(found.nodes) == 4 ** (dimension(cell) - 1)
     below = found.points - 0.1 * np.eye(dimension(cell))[-1]
     np.testing.assert_allclose(faceted.distance(below).signed, 0.1)
@@ -57,7 +57,7 @@ def test_quadrilateral_is_four_triangles_around_its_centre():
     found = surface("hexahedron", n=1)
     assert found.facets.nodes.shape == (1, 4)
     centre = found.points.mean(axis=0)
-    assert np.abs(found.faceted().distance(centre[None]).signed) < 1e-15
+    assert np.abs(FacetedSurface.of(found.facets).distance(centre[None]).signed) < 1e-15
 
 
 def test_area_of_the_facets():

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair
 from fenics_tfeti.fem.contact.matching import match_contact
-from fenics_tfeti.fem.contact.surfaces.symmetry_planes import (
+from fenics_tfeti.fem.contact.surfaces.normals import (
     normals_in_symmetry_planes,
     prescribed_components,
 )

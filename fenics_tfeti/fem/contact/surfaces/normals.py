@@ -1,9 +1,13 @@
-"""Normals of faceted round cylinders without their tilt along the axis.
+"""Normals of faceted surfaces, corrected where these stand for others.
 
-Facets of a cylinder that are no strips along its axis have normals that are tilted along it to
-either side, by up to 1e-2, those of curved cells by 1e-6. Nothing else holds a loose pin in a hole
-along its axis: it would move until the axial parts of tilted forces cancel, by many times what the
-bodies deform. Facets whose corners are on a round cylinder stand for that surface: the tilt is
+In planes of symmetry: at the border of a curved surface, facets on one side alone enter the mean of
+their normals. Where the displacement across a plane is prescribed, the mean of the whole surface
+has no component across it.
+
+On round cylinders: facets that are no strips along the axis have normals that are tilted along it
+to either side, by up to 1e-2, those of curved cells by 1e-6. Nothing else holds a loose pin in a
+hole along its axis: it would move until the axial parts of tilted forces cancel, by many times what
+the bodies deform. Facets whose corners are on a round cylinder stand for that surface: the tilt is
 their error and is removed. Then the motion along the axis is a free one.
 """
 
@@ -15,9 +19,18 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.feti.system import Prescribed
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+# How much larger a component of the normals is at neighbours, if it is that of a curved surface
+# whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.
+_GROWTH = 1.3
+
+# Length of the rest of a unit normal, below which the prescribed components are no symmetry.
+_SHORTEST = 0.5
 
 # root mean square of the normals along a second direction, below which a surface is a plane
 _CURVED = 0.1
@@ -26,6 +39,51 @@ _ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
 # relative to the largest distance of the nodes of contact: that of other nodes that are on the
 # cylinder too, and the angle between the axis and a coordinate axis that is meant
 _DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
+
+
+def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
+    """Tell which components (k, gdim) of a surface's nodes, on this rank, are prescribed."""
+    mask = np.zeros_like(surface.normal, dtype=bool)
+    if surface.nodes.size:
+        rows = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
+        owned = surface.nodes[rows] == prescribed.nodes
+        mask[rows[owned], prescribed.components[owned]] = True
+    return mask
+
+
+def still_holds(surface: Surface, prescribed: Prescribed, mask: Mask) -> bool:
+    """Tell whether mortar conditions hold that were found with other supports. Collective.
+
+    They do if they have no weight and the prescribed components are those of the mask.
+    """
+    if surface.boundary.weight is not None:
+        return False
+    same = np.array_equal(prescribed_components(surface, prescribed), mask)
+    return bool(surface.comm.allreduce(same, MPI.LAND))
+
+
+def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
+    """Return a surface's unit normals without components that symmetry rules out. Collective.
+
+    A prescribed component (k, gdim) is left out if it is larger at the neighbours where it is not
+    prescribed, as on a curved surface; on planes it is the same there.
+    """
+    normal = np.abs(surface.at_corners(surface.normal))
+    fixed = surface.at_corners(prescribed)
+    values = np.where(fixed, 0.0, normal), (~fixed).astype(float)
+    of_facets = np.concatenate(values, axis=2).sum(axis=1, keepdims=True)
+    v = fixed.shape[1]
+    total = surface.sum_of_corners(np.repeat(of_facets, v, axis=1))
+    gdim = surface.normal.shape[1]
+    neighbour_mean = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
+    removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))
+    projected = np.where(removed, 0.0, surface.normal)
+    length = np.linalg.norm(projected, axis=1)
+    curved = length > _SHORTEST
+    normals: Vector = np.where(
+        curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
+    )
+    return normals
 
 
 def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vector:
@@ -109,8 +167,7 @@ class Cylinder:
         The axis moves along two directions (3, 2), and is turned about its point beside 0.
         """
         radial = self._radial(x)
-        distance = np.linalg.norm(radial, axis=1)
-        outward = (radial / np.where(distance > 0.0, distance, 1.0)[:, None]) @ cross_axes
+        distance, outward = np.linalg.norm(radial, axis=1), unit(radial) @ cross_axes
         rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])
         gram = comm.allreduce(rows.T @ np.column_stack([rows, distance - self.radius]))
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]

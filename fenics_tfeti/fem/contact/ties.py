@@ -1,9 +1,9 @@
-"""Equality rows between nodes: of surfaces that match, and any that the user gives."""
+"""Equality rows of ties: of mortar conditions, of surfaces that match, and any of the user's."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
+from typing import Any
 
 from mpi4py import MPI
 
@@ -13,17 +13,138 @@ from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_separate
+from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
+from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, tied_conditions
+from fenics_tfeti.fem.contact.mortar.pairing import check_covered
+from fenics_tfeti.fem.contact.obstacles.rigid_body import are_same
 from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components, still_holds
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
-from fenics_tfeti.fem.contact.ties.description import BoltPreload, LinearRows, PeriodicPair
-from fenics_tfeti.fem.contact.ties.tied import Preload, TiedPairing
-from fenics_tfeti.fem.messages import raise_where
+from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
-from fenics_tfeti.feti.system import ContactRows, Subdomain
+from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class Preload:
+    """The shortening of a bolt, given or an unknown of the torn system."""
+
+    axis: Vector  # (gdim,), on the side of the slave's outward normal
+    shortening: float | None  # [m]
+    # without load: the body that the shortening moves along the axis where the force is given
+    body: Subdomain | None = None
+    force: float = 0.0  # [N]
+
+    def subdomain(self, number: int) -> Subdomain:
+        """Return the body with a number and the present load."""
+        assert self.body is not None
+        return replace(self.body, body=number, load=self.force * self.axis)
+
+
+@dataclass(frozen=True)
+class TiedPairing:
+    """The equality rows of a tie whose slave nodes this rank owns."""
+
+    name: str
+    rows: ContactRows  # the normals are directions of the slave's displacement
+    nodes: Numbers  # (k,): slave nodes, ascending
+    coordinates: Vector  # (k, 3): of the slave nodes [m]
+    area: Vector  # (k,): that belongs to each; NaN where there is none [m^2 or m]
+    summary: dict[str, Any]  # the tie's entry of `Report.pairing`
+    # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
+    surface: Surface | None = None
+    prescribed: Mask | None = None
+    preload: Preload | None = None  # of bolts
+
+    def forces(self, row_forces: Vector) -> Vector:
+        """Return the forces (k, gdim) on the slave nodes of those of the rows [N]."""
+        force = np.zeros((self.nodes.size, self.rows.coefficients.shape[1]))
+        # the force of a row acts on the slave against its direction
+        position = np.searchsorted(self.nodes, self.rows.slave)
+        np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
+        return force
+
+    def still_holds(self, prescribed: Prescribed) -> bool:
+        """Tell whether mortar conditions hold that were found with other supports. Collective."""
+        if self.surface is None or self.prescribed is None:
+            return False
+        return still_holds(self.surface, prescribed, self.prescribed)
+
+
+def tie_surfaces(
+    boundary: MeshBoundary, pair: TiedPair, name: str, prescribed: Prescribed
+) -> TiedPairing:
+    """Find the conditions of a tied pair. Collective."""
+    tags, comm = pair.facet_tags, boundary.nodes.comm
+    slave = tagged_surface(boundary, tags, pair.slave, f"slave of {name}")
+    tagged_master = tagged_surface(boundary, tags, pair.master, f"master of {name}")
+    master = gather_nearby(tagged_master, slave)
+    with raise_collectively(comm):
+        master.check_not_folded(name)
+    check_separate(
+        slave,
+        master.nodes,
+        name,
+        "Surfaces that share nodes are one already: leave the pair out, or give each part nodes of "
+        "its own by fenics_tfeti.io.split_interfaces",
+    )
+    fixed = prescribed_components(slave, prescribed)
+    conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
+    # nodes where a component is prescribed have no condition for it
+    largest = int(
+        np.argmax([comm.allreduce(component.terms.slave.size) for component in conditions])
+    )
+    fullest = conditions[largest]
+    check_covered(fullest, slave, name)
+    _check_together(fullest, slave, name)
+    rows = np.searchsorted(slave.nodes, fullest.terms.slave)
+    gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
+    summary = pairing_summary(
+        comm,
+        name,
+        "tied",
+        gap,
+        fullest.angle,
+        slave.nodes.size,
+        area=fullest.area,
+        covered_area=fullest.covered_area,
+    )
+    nodes = np.unique(np.concatenate([part.terms.slave for part in conditions]))
+    area = np.zeros(nodes.size)
+    for part in conditions:
+        area[np.searchsorted(nodes, part.terms.slave)] = part.area
+    components = [
+        c.terms.rows(np.tile(axis, (c.terms.slave.size, 1)), np.zeros(c.terms.slave.size), 0)
+        for c, axis in zip(conditions, np.eye(len(conditions)), strict=True)
+    ]
+    return TiedPairing(
+        name,
+        ContactRows.concatenate(components),
+        nodes,
+        slave.coordinates[np.searchsorted(slave.nodes, nodes)],
+        area,
+        summary,
+        slave,
+        fixed,
+    )
+
+
+def _check_together(conditions: MortarConditions, slave: Surface, name: str) -> None:
+    """Check that surfaces are no farther apart than facets are large: rotations would be held."""
+    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
+    distance = np.linalg.norm(conditions.gap, axis=1)
+    largest = concatenate_ranks(slave.comm, distance).max(initial=0.0)
+    if bad := first_wrong(slave.comm, distance > 0.5 * slave.size[rows], slave.points[rows]):
+        raise InputError(
+            f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
+            f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
+            "surfaces that lie on each other"
+        )
 
 
 @dataclass(frozen=True)
@@ -52,7 +173,7 @@ class _Match:
             self.angle,
             self.nodes.size,
             distance,
-            distance / surface.size.min(initial=np.inf),
+            surface.size.min(initial=np.inf),
             np.nan_to_num(area),
             float(surface.area.sum()),
         )
@@ -98,11 +219,12 @@ def preload_rows(
     preload = Preload(axis, bolt.shortening)
     if bolt.force is not None:
         body = _closing_body(match.surface, boundary.nodes.total + number, axis)
-        if known is not None and known.body is not None and _is_same_body(known.body, body):
+        if known is not None and known.body is not None and are_same([known.body], [body]):
             body = known.body
         preload = Preload(axis, None, body, bolt.force)
-        along = np.arange(rows.size) % gdim == 0
-        rows = _with_term(rows, along, int(body.nodes[0]), -axis)
+        along = np.flatnonzero(np.arange(rows.size) % gdim == 0)
+        size = (along.size, 1)
+        rows = rows.with_terms(along, np.repeat(body.nodes, along.size), np.tile(-axis, size))
     return replace(match.pairing(name, "bolt", rows), preload=preload)
 
 
@@ -112,25 +234,6 @@ def _closing_body(surface: Surface, node: int, axis: Vector) -> Subdomain:
     sums = surface.comm.allreduce(sums)
     return Subdomain.rigid(
         np.zeros(axis.size), sums[None, :-1] / sums[-1], [node], 0, axis[:, None]
-    )
-
-
-def _is_same_body(known: Subdomain, body: Subdomain) -> bool:
-    return (
-        np.array_equal(known.nodes, body.nodes)
-        and np.array_equal(known.coordinates, body.coordinates)
-        and known.has_kernel_of(body)
-    )
-
-
-def _with_term(rows: ContactRows, chosen: Mask, node: int, coefficient: Vector) -> ContactRows:
-    """Return rows with a further term, the last one, in some of them."""
-    at = rows.offsets[1:][chosen]
-    return replace(
-        rows,
-        offsets=rows.offsets + np.append(0, np.cumsum(chosen)),
-        nodes=np.insert(rows.nodes, at, node),
-        coefficients=np.insert(rows.coefficients, at, coefficient, axis=0),
     )
 
 
@@ -221,17 +324,18 @@ def _matched(
     last = np.flatnonzero(np.diff(local, append=-1))
     first = np.append(0, last[:-1] + 1)[: last.size]
     places = boundary.coordinates[local[last]]
-    raise_where(
+    if bad := first_wrong(
         slave.comm,
         np.maximum.reduceat(partner, first) != np.minimum.reduceat(partner, first)
         if first.size
         else np.zeros(0, dtype=bool),
         places[:, : len(t)],
-        lambda number, place: (
-            f"{name}: {number} nodes of the slave have several partners, the first at {place}: the "
-            "facets of the master around them share no nodes. Exchange slave and master"
-        ),
-    )
+    ):
+        raise InputError(
+            f"{name}: {bad.number} nodes of the slave have several partners, the first at "
+            f"{bad.place}: the facets of the master around them share no nodes. Exchange slave and "
+            "master"
+        )
     nodes = local[last] + boundary.nodes.first
     return _Match(slave, nodes, places, partner[last], distance[last], angle[last])
 
@@ -246,26 +350,18 @@ def _check_matching(
     """
     found = np.zeros(len(image), dtype=bool)
     found[concatenate_ranks(slave.comm, facet[~alone])] = True
-    lost = ~found if slave.comm.rank == 0 else np.zeros(len(image), dtype=bool)
-    for side, other, places, wrong in (
-        ("slave", "master", x, alone),
-        ("master", "slave", image, lost),
+    for side, other, comm, wrong, places in (
+        ("slave", "master", slave.comm, alone, x),
+        ("master", "slave", MPI.COMM_SELF, ~found, image),
     ):
-        total = len(image) if side == "master" else slave.comm.allreduce(len(x))
-        raise_where(
-            slave.comm,
-            wrong,
-            places.mean(axis=1),
-            partial(_mismatch, name, f"{total} facets of the {side}", other),
-        )
-
-
-def _mismatch(name: str, facets: str, other: str, number: int, place: str) -> str:
-    return (
-        f"{name}: {number} of {facets} have no facet of the {other} with the same nodes, the first "
-        f"around {place} on the slave's side: the surfaces do not match. Mesh them alike "
-        "(setPeriodic in Gmsh), or correct the translation or rotation from the master to the slave"
-    )
+        total = comm.allreduce(len(places))
+        if bad := first_wrong(comm, wrong, places.mean(axis=1)):
+            raise InputError(
+                f"{name}: {bad.number} of {total} facets of the {side} have no facet of the "
+                f"{other} with the same nodes, the first around {bad.place} on the slave's side: "
+                "the surfaces do not match. Mesh them alike (setPeriodic in Gmsh), or correct the "
+                "translation or rotation from the master to the slave"
+            )
 
 
 def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
@@ -281,16 +377,14 @@ def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
                     "dimension than the mesh; it has to go through the cut"
                 )
         return axis if axis @ normal > 0.0 else -axis
-    raise_where(
-        surface.comm,
-        np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE,
-        surface.points,
-        lambda number, place: (
-            f"{name}: the cut is not plane, at {number} nodes its normals are not the mean one "
-            f"{np.round(normal, 4).tolist()}, the first at {place}. Cut the shank by a plane, or "
-            "give the axis"
-        ),
-    )
+    if bad := first_wrong(
+        surface.comm, np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE, surface.points
+    ):
+        raise InputError(
+            f"{name}: the cut is not plane, at {bad.number} nodes its normals are not the mean one "
+            f"{np.round(normal, 4).tolist()}, the first at {bad.place}. Cut the shank by a plane, "
+            "or give the axis"
+        )
     return normal
 
 

@@ -1,1 +1,0 @@
-"""Conditions between pairs of nodes: the search for partners."""

@@ -1,1 +1,0 @@
-"""Surfaces and degrees of freedom that stay together: ties, periodic pairs, bolts, any rows."""
