@@ -64,12 +64,12 @@ uh = problem.solve()
 
 # ## Motion and forces
 #
-# The names of the pairs have the tags of slave and master. Moments are about the axis.
+# The names of the pairs have those of both bodies. Moments are about the axis.
 
 
 def on_shaft(partner):
     """Return the force and the moment that another body exerts on the shaft."""
-    names, total = (f"tag {tags['shaft']})", f"tag {tags[partner]})"), np.zeros(3)
+    names, total = ("(shaft)", f"({partner})"), np.zeros(3)
     for contact in problem.report.contacts:
         slave, master = contact.name.split(" on ")
         if names[0] in slave and names[1] in master:

@@ -55,3 +55,24 @@ def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(ratio):
 def test_bad_roles_are_a_warning():
     with pytest.warns(UserWarning, match="E / h"):
         report(10, 14, 100.0)
+
+
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("elements", [(26, 30), (30, 60)])
+def test_contact_up_to_the_edge_that_is_clamped(elements, degree):
+    """Two equal cantilevers share a load at the end: half of it each, and next to nothing else."""
+    thickness = 0.1
+    parts = [((0, k * thickness), (1, (k + 1) * thickness), (n, 4)) for k, n in enumerate(elements)]
+    marks = [
+        (CLAMPED, at(0, 0.0)),
+        (LOADED, at(0, 1.0), 2),
+        (SLAVE, at(1, thickness), 2),
+        (MASTER, at(1, thickness), 1),
+    ]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, degree=degree)
+    scene.fix(CLAMPED)
+    scene.add_load(LOADED, (0.0, -TRACTION))
+    scene.add_pair(roles="given")
+    problem = scene.problem()
+    problem.solve()
+    assert problem.results[0].force[1] == pytest.approx(0.5 * thickness * TRACTION, rel=0.1)

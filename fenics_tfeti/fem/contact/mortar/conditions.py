@@ -27,6 +27,7 @@ from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import concatenate_buffers
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -50,15 +51,18 @@ class MortarConditions:
 
 
 def mortar_conditions(
-    surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, free: Numbers
+    surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, shared: Numbers, prescribed: Mask
 ) -> MortarConditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
-    The slave's facets are those of this rank, of the master those near them; nodes of `free` have
-    no condition.
+    The slave's facets are those of this rank, of the master those near them. No condition have
+    nodes of both surfaces, `shared`, and those that their supports hold along the normal, see
+    `_held_by_supports`.
     """
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
-    return _conditions(surface, slave, master, integrals, np.isin(slave.nodes, free))
+    along = np.abs(slave.normal) > RELATIVE_ROUNDING
+    held = (_held_by_supports(surface, slave, prescribed) | ~along).all(axis=1)
+    return _conditions(surface, slave, master, integrals, held | np.isin(slave.nodes, shared))
 
 
 def tied_conditions(
@@ -66,23 +70,31 @@ def tied_conditions(
 ) -> list[MortarConditions]:
     """Return the conditions for each component of surfaces that stay together. Collective.
 
-    Where a component is prescribed at a node of the slave, the node has no condition on it unless
-    the component is prescribed at all nodes of a facet: a condition would hold the master more than
-    the support does. `prescribed` (k, gdim) are the components prescribed at the surface's nodes of
-    this rank; for the others see `mortar_conditions`.
+    A component has none at nodes where supports hold it, see `_held_by_supports`; for the others
+    see `mortar_conditions`.
     """
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
+    free = _held_by_supports(surface, slave, prescribed)
+    # of degree 2 the solution is more exact with the shape functions as multipliers
+    dual = slave.facets.per_facet == 1
+    return [_conditions(surface, slave, master, integrals, held, dual) for held in free.T]
+
+
+def _held_by_supports(surface: Surface, slave: SurfaceFacets, prescribed: Mask) -> Mask:
+    """Tell at which of the slave's nodes (n,) a support makes a condition useless. Collective.
+
+    The result (n, gdim) is by components, as `prescribed` (k, gdim) at the surface's nodes of this
+    rank. Where a component is prescribed at a node, but not at all nodes of a facet, a condition
+    would hold the master more than the support does; if the master is held there, too, its force
+    would have to act through what little of the master is free, and be as much larger.
+    """
     gdim, fixed = prescribed.shape[1], surface.at_corners(prescribed)
     all_fixed = np.broadcast_to(fixed.all(axis=1, keepdims=True), fixed.shape)
     flags = np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim)
     nodes, corners = surface.boundary.nodes, slave.nodes[slave.facets.corners.ravel()]
     flags = nodes.values_at(nodes.sum_at_owners(corners, flags, np.logical_or), slave.nodes)
-    free = ~flags[:, :gdim] & flags[:, gdim:]
-    # of degree 2 the solution is more exact with the shape functions as multipliers
-    dual = slave.facets.per_facet == 1
-    return [
-        _conditions(surface, slave, master, integrals, free[:, axis], dual) for axis in range(gdim)
-    ]
+    held: Mask = ~flags[:, :gdim] & flags[:, gdim:]
+    return held
 
 
 def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -> Terms:

@@ -43,7 +43,7 @@ def match_by_mortar(
     oriented = replace(slave, normal=_normals(contact, slave, prescribed))
     facets = oriented.oriented_part()
     check_folds(slave.boundary.nodes, facets, name)
-    conditions = mortar_conditions(slave, facets, master, shared)
+    conditions = mortar_conditions(slave, facets, master, shared, prescribed)
     check_covered(conditions, slave, name)
     rows = np.searchsorted(slave.nodes, conditions.terms.slave)
     if facets.weight is not None:
@@ -106,7 +106,7 @@ def match_deformed(
     deformed = replace(deformed, normal=_normals(contact, deformed, prescribed))
     facets = deformed.oriented_part(displacement)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(surface, facets, master, shared)
+    conditions = mortar_conditions(surface, facets, master, shared, prescribed)
     check_covered(conditions, surface, name)
     distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(
