@@ -31,6 +31,9 @@ from fenics_tfeti.typing import Numbers, Operator, Vector
 
 # unknowns of the subdomains in contact, of all ranks, that each rank factors for each face
 _MOST = 50_000
+# steps of conjugate gradients that take the time of a factor, measured with subdomains of 600 to
+# 50,000 unknowns in three dimensions: a solve is an eightieth of it, a step some of them
+_STEPS = 40
 # D of all rows, relative to F of a row: small, and no smaller than rounding needs
 _COMPLIANCE = 1e-3
 # stiffness of what no row of the face holds, relative to that of nodes
@@ -50,10 +53,21 @@ class DirectFaces:
         init=False, repr=False, default=None
     )
 
-    def start(self) -> bool:
-        """Solve the faces to come directly, unless they are too large; tell if so. Collective."""
-        self.slow = self._group is not None
-        return self.slow
+    @cached_property
+    def patience(self) -> float:
+        """Number of steps on a face that take the time of a factor, infinite without. Collective.
+
+        A step solves for all subdomains. The time for a factor of the joined ones grows with the
+        4/3rd power of their number, as measured.
+        """
+        sizes = [self.stiffness[c].shape[0] for c in self._column]
+        joined = [sizes[i] for i in self._members]
+        counts = np.array([sum(sizes), sum(joined), len(joined)], dtype=float)
+        self.F.constraints.layout.comm.Allreduce(MPI.IN_PLACE, counts)
+        every, unknowns, number = counts
+        if not 0 < unknowns <= _MOST:
+            return np.inf
+        return float(_STEPS * number ** (1 / 3) * unknowns / every)
 
     def on_face(
         self, projector: Projector, curvature: Vector, compliance: float, others: Operator
@@ -64,7 +78,6 @@ class DirectFaces:
         C. The operator `others` stands for rows that are not between the subdomains in contact.
         """
         group = self._group
-        assert group is not None
         C, D = group.face(projector, curvature, compliance)
         D += _COMPLIANCE / self.unit
         if self._last is None or not _equal(self._last[:2], (C, D)):
@@ -97,29 +110,32 @@ class DirectFaces:
         return solve
 
     @cached_property
-    def _group(self) -> _Group | None:
-        """The subdomains in contact; None, on all ranks, if there are too many. Collective."""
-        interface, constraints = self.F.interface, self.F.constraints
+    def _column(self) -> Numbers:
+        """The class of each of this rank's subdomains."""
+        classes = self.F.interface.classes
+        return np.repeat(np.arange(len(classes)), [c.members.size for c in classes])
+
+    @cached_property
+    def _members(self) -> list[int]:
+        """This rank's subdomains in contact."""
+        interface, equality = self.F.interface, self.F.constraints.equality
         touched = np.zeros(interface.columns.size, dtype=bool)
-        touched[interface.matrix[np.flatnonzero(~constraints.equality)].indices] = True
-        column = np.repeat(
-            np.arange(len(interface.classes)), [c.members.size for c in interface.classes]
-        )
+        touched[interface.matrix[np.flatnonzero(~equality)].indices] = True
         ends = interface.ends
-        members = [
-            i
-            for i, (begin, end) in enumerate(zip(ends[:-1], ends[1:], strict=True))
-            if touched[begin:end].any()
-        ]
-        sizes = [self.stiffness[column[i]].shape[0] for i in members]
-        first, unknowns = first_of_rank(constraints.layout.comm, sum(sizes))
-        if not 0 < unknowns <= _MOST:
-            return None
+        return [i for i in range(len(ends) - 1) if touched[ends[i] : ends[i + 1]].any()]
+
+    @cached_property
+    def _group(self) -> _Group:
+        """The subdomains in contact. Collective."""
+        interface = self.F.interface
+        own = [self.stiffness[self._column[i]] for i in self._members]
+        sizes = [K.shape[0] for K in own]
+        first, unknowns = first_of_rank(self.F.constraints.layout.comm, sum(sizes))
         # the group's number of each packed unknown; -1 of others
         place = np.full(interface.columns.size, -1, dtype=np.int64)
-        for i, begin in zip(members, first + np.cumsum([0, *sizes])[:-1], strict=True):
-            place[ends[i] : ends[i + 1]] = begin + interface.unknowns[column[i]]
-        own = [self.stiffness[column[i]] for i in members]
+        for i, begin in zip(self._members, first + np.cumsum([0, *sizes])[:-1], strict=True):
+            part = slice(*interface.ends[i : i + 2])
+            place[part] = begin + interface.unknowns[self._column[i]]
         return _Group.build(self.F, own, place, unknowns)
 
 

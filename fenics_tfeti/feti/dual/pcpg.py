@@ -45,8 +45,6 @@ _PATIENCE, _PATIENCE_FACTOR = 200, 3
 _NO_CURVATURE = 64 * 2.0**-52
 # r'z after a step with the length of another face, relative to that before, that is too large
 _LONGER = 1e3
-# steps on a face from which on a direct solver takes less time
-_SLOW = 40
 # stiffness of a slip against a friction force, relative to that of a weight of 1. 1 / ||PFP||, that
 # of the whole body, is much too small where the body is thin: directions of forces then follow
 # those of slips too slowly
@@ -273,7 +271,7 @@ def pcpg(
             return _at_least_penetration(problem, face, replace(best, at_limit=True))
         iterate, steps = following, steps + 1
         kind = problem.preconditioner
-        if steps == _SLOW and kind is not None and kind.becomes_direct():
+        if kind is not None and kind.becomes_direct(steps):
             face, iterate = face.direct(problem), _restarted(iterate)
             best, peak = iterate, 0.0
     return _at_least_penetration(problem, face, iterate)

@@ -78,9 +78,12 @@ class Preconditioner:
         """Whether faces are solved directly."""
         return self.direct is not None and self.direct.slow
 
-    def becomes_direct(self) -> bool:
-        """Solve faces directly from now on; tell if that is new. Collective."""
-        return self.direct is not None and not self.direct.slow and self.direct.start()
+    def becomes_direct(self, steps: int) -> bool:
+        """Tell if faces are solved directly from now on, after some steps on one. Collective."""
+        if self.direct is None or self.direct.slow:
+            return False
+        self.direct.slow = steps >= self.direct.patience
+        return self.direct.slow
 
     def _with_scaling(self, close: Operator) -> Operator:
         layout = self.constraints.layout

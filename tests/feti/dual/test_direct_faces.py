@@ -24,7 +24,6 @@ def test_inverse_on_a_face(active, compliance):
     sticking = np.zeros(0, dtype=bool)
     projector = Projector.build(setup.projector.coarse_space, closed, sticking)
     direct = setup.preconditioner.direct
-    assert direct.start()
     per_row = compliance / setup.local.unit
     others = setup.preconditioner.on_face(projector.rows)
     solve = direct.on_face(projector, np.zeros(0), per_row, others)
@@ -35,8 +34,19 @@ def test_inverse_on_a_face(active, compliance):
     assert projector.P(solve(part)) == pytest.approx(x, abs=1e-9 * np.abs(x).max())
 
 
+def test_direct_from_the_time_of_a_factor_on():
+    """Of all two blocks, which are in contact."""
+    preconditioner = TornSolver(column(height=1), Options()).setup.preconditioner
+    steps = preconditioner.direct.patience
+    assert 40 < steps < np.inf
+    assert not preconditioner.becomes_direct(int(steps))
+    assert not preconditioner.is_direct
+    assert preconditioner.becomes_direct(int(steps) + 1)
+    assert preconditioner.is_direct
+
+
 def test_many_unknowns_are_left_to_conjugate_gradients(monkeypatch):
     monkeypatch.setattr(direct_faces, "_MOST", 10)
-    solver = TornSolver(column(height=1), Options())
-    assert not solver.setup.preconditioner.becomes_direct()
-    assert not solver.setup.preconditioner.is_direct
+    preconditioner = TornSolver(column(height=1), Options()).setup.preconditioner
+    assert not preconditioner.becomes_direct(10**9)
+    assert not preconditioner.is_direct
