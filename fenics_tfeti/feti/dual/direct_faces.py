@@ -111,13 +111,13 @@ class DirectFaces:
 
     @cached_property
     def _column(self) -> Numbers:
-        """The class of each of this rank's subdomains."""
+        """The class of each subdomain of this rank."""
         classes = self.F.interface.classes
         return np.repeat(np.arange(len(classes)), [c.members.size for c in classes])
 
     @cached_property
     def _members(self) -> list[int]:
-        """This rank's subdomains in contact."""
+        """The subdomains of this rank that are in contact."""
         interface, equality = self.F.interface, self.F.constraints.equality
         touched = np.zeros(interface.columns.size, dtype=bool)
         touched[interface.matrix[np.flatnonzero(~equality)].indices] = True
