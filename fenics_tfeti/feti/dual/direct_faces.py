@@ -1,9 +1,9 @@
-"""The inverse of F on a face, by a sparse factor of the bodies in contact joined along the face.
+"""The inverse of F on a face, by a sparse factor of all bodies joined along the face.
 
 The preconditioners close the gaps of a face by displacements that hold the rest of the contact
 surfaces. Bodies that bend, such as stacked leaf springs, would rather bend than be squeezed: there
 the condition number is the ratio of the two stiffnesses, 10^5 and more. With the stiffness matrices
-K of the subdomains in contact, the rows B of a face between them and a compliance D of the rows,
+K of the subdomains, the rows B of a face and a compliance D of the rows,
 
     (B K^+ B' + D)^{-1} = D^{-1} - D^{-1} B (K + B'D^{-1}B)^{-1} B'D^{-1},
 
@@ -23,13 +23,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
-# unknowns of the subdomains in contact, of all ranks, that each rank factors for each face
+# unknowns of all subdomains that each rank factors for each face
 _MOST = 50_000
 # steps of conjugate gradients that take the time of a factor, measured with subdomains of 600 to
 # 50,000 unknowns in three dimensions: a solve is an eightieth of it, a step some of them
@@ -57,49 +58,35 @@ class DirectFaces:
     def patience(self) -> float:
         """Number of steps on a face that take the time of a factor, infinite without. Collective.
 
-        A step solves for all subdomains. The time for a factor of the joined ones grows with the
-        4/3rd power of their number, as measured.
+        The time for a factor of all subdomains grows with the 4/3rd power of their number beside
+        that of a step, as measured.
         """
-        sizes = [self.stiffness[c].shape[0] for c in self._column]
-        joined = [sizes[i] for i in self._members]
-        counts = np.array([sum(sizes), sum(joined), len(joined)], dtype=float)
-        self.F.constraints.layout.comm.Allreduce(MPI.IN_PLACE, counts)
-        every, unknowns, number = counts
-        if not 0 < unknowns <= _MOST:
-            return np.inf
-        return float(_STEPS * number ** (1 / 3) * unknowns / every)
+        number, unknowns = self.F.constraints.layout.comm.allreduce(
+            np.array([len(self._own), sum(K.shape[0] for K in self._own)])
+        )
+        return float(_STEPS * number ** (1 / 3)) if unknowns <= _MOST else np.inf
 
-    def on_face(
-        self, projector: Projector, curvature: Vector, compliance: float, others: Operator
-    ) -> Operator:
+    def on_face(self, projector: Projector, curvature: Vector, compliance: float) -> Operator:
         """Return x -> this rank's part of the inverse of F + C, x zero off the face. Collective.
 
         `curvature` (k,) of forces that turn and the `compliance` of rows with bounds are those of
-        C. The operator `others` stands for rows that are not between the subdomains in contact.
+        C.
         """
-        group = self._group
-        C, D = group.face(projector, curvature, compliance)
+        joined = self._joined
+        C, D = joined.face(projector, curvature, compliance)
         D += _COMPLIANCE / self.unit
         if self._last is None or not _equal(self._last[:2], (C, D)):
-            self._last = C, D, self._inverse(group, C, D)
+            self._last = C, D, self._inverse(joined, C, D)
         inverse = self._last[2]
+        return lambda x: joined.part(inverse(joined.gather(x)))
 
-        def apply(x: Vector) -> Vector:
-            own = group.gather(x)
-            x = x.copy()
-            x[group.rows] = 0.0
-            part = others(x)
-            part[group.rows] = 0.0
-            part[group.rows[group.owned]] = inverse(own)[group.positions[group.owned]]
-            return part
-
-        return apply
-
-    def _inverse(self, group: _Group, C: sp.csr_matrix, D: Vector) -> Callable[[Vector], Vector]:
+    def _inverse(self, joined: _Joined, C: sp.csr_matrix, D: Vector) -> Callable[[Vector], Vector]:
         """Factor K + B'D^{-1}B of a face."""
-        B, K = (C @ group.rows_of_B).tocsr(), group.stiffness
-        joined = K + B.T @ sp.diags(1.0 / D) @ B + _SUPPORT * sp.diags(K.diagonal())
-        factor = SparseCholesky(joined.tocsr(), self.package)
+        B, K = (C @ joined.B).tocsr(), joined.stiffness
+        support = K.diagonal()
+        support[support == 0.0] = support.max()  # of rigid bodies
+        A = K + B.T @ sp.diags(1.0 / D) @ B + _SUPPORT * sp.diags(support)
+        factor = SparseCholesky(A.tocsr(), self.package)
 
         def solve(x: Vector) -> Vector:
             y = (C @ x) / D
@@ -110,85 +97,51 @@ class DirectFaces:
         return solve
 
     @cached_property
-    def _column(self) -> Numbers:
-        """The class of each subdomain of this rank."""
-        classes = self.F.interface.classes
-        return np.repeat(np.arange(len(classes)), [c.members.size for c in classes])
+    def _own(self) -> list[sp.csr_matrix]:
+        """The stiffness matrices of the subdomains of this rank."""
+        classes = zip(self.stiffness, self.F.interface.classes, strict=True)
+        return [K for K, congruent in classes for _ in congruent.members]
 
     @cached_property
-    def _members(self) -> list[int]:
-        """The subdomains of this rank that are in contact."""
-        interface, equality = self.F.interface, self.F.constraints.equality
-        touched = np.zeros(interface.columns.size, dtype=bool)
-        touched[interface.matrix[np.flatnonzero(~equality)].indices] = True
-        ends = interface.ends
-        return [i for i in range(len(ends) - 1) if touched[ends[i] : ends[i + 1]].any()]
-
-    @cached_property
-    def _group(self) -> _Group:
-        """The subdomains in contact. Collective."""
-        interface = self.F.interface
-        own = [self.stiffness[self._column[i]] for i in self._members]
-        sizes = [K.shape[0] for K in own]
-        first, unknowns = first_of_rank(self.F.constraints.layout.comm, sum(sizes))
-        # the group's number of each packed unknown; -1 of others
-        place = np.full(interface.columns.size, -1, dtype=np.int64)
-        for i, begin in zip(self._members, first + np.cumsum([0, *sizes])[:-1], strict=True):
-            part = slice(*interface.ends[i : i + 2])
-            place[part] = begin + interface.unknowns[self._column[i]]
-        return _Group.build(self.F, own, place, unknowns)
+    def _joined(self) -> _Joined:
+        """K and B, gathered. Collective."""
+        F, comm = self.F, self.F.constraints.layout.comm
+        classes = zip(F.interface.unknowns, F.interface.classes, strict=True)
+        unknowns = [local for local, congruent in classes for _ in congruent.members]
+        sizes = [K.shape[0] for K in self._own]
+        first, number = first_of_rank(comm, sum(sizes))
+        starts = first + np.cumsum([0, *sizes])[:-1]
+        place = [begin + local for begin, local in zip(starts, unknowns, strict=True)]
+        layout = F.constraints.layout
+        every = np.sort(concatenate_ranks(comm, layout.numbers[: layout.owned]))
+        positions, entries = np.searchsorted(every, layout.numbers), F.interface.matrix.tocoo()
+        columns = np.concatenate([np.zeros(0, dtype=np.int64), *place])[entries.col]
+        shape = every.size, number
+        part = sp.csr_matrix((entries.data, (positions[entries.row], columns)), shape)
+        B = sum(comm.allgather(part), sp.csr_matrix(shape))
+        K = sp.block_diag([K for own in comm.allgather(self._own) for K in own], format="csr")
+        return _Joined(F.constraints, K, B.tocsr(), positions)
 
 
 @dataclass(frozen=True)
-class _Group:
-    """Subdomains in contact, with the rows that are between them alone; the same on all ranks."""
+class _Joined:
+    """K and B of all subdomains; the same on all ranks but for the positions."""
 
-    F: DualOperator
+    constraints: Constraints
     stiffness: sp.csr_matrix  # (n, n): K
-    rows_of_B: sp.csr_matrix  # (r, n)
-    rows: Numbers  # (h,): local positions of the rows that this rank holds
-    positions: Numbers  # (h,): their numbers among the r rows
-    owned: Numbers  # those of `rows` that this rank owns
-
-    @staticmethod
-    def build(
-        F: DualOperator, own: Sequence[sp.csr_matrix], place: Numbers, unknowns: int
-    ) -> _Group:
-        """Gather K and B, from this rank's K_i and the numbers of its packed unknowns. Collective.
-
-        Unknowns of other subdomains have the number -1.
-        """
-        layout, comm = F.constraints.layout, F.constraints.layout.comm
-        entries = F.interface.matrix.tocoo()
-        filled = entries.data != 0.0
-        inside = place[entries.col] >= 0
-        beside = np.bincount(entries.row[filled & ~inside], minlength=entries.shape[0])
-        within = np.bincount(entries.row[filled & inside], minlength=entries.shape[0])
-        beside, within = layout.sum(np.column_stack([beside, within]).astype(float)).T
-        rows = np.flatnonzero((beside == 0.0) & (within > 0.0))
-        owned = np.flatnonzero(rows < layout.owned)
-        numbers = np.sort(concatenate_ranks(comm, layout.numbers[rows[owned]]))
-        positions = np.searchsorted(numbers, layout.numbers[rows])
-        position = np.full(entries.shape[0], -1, dtype=np.int64)
-        position[rows] = positions
-        kept = filled & (position[entries.row] >= 0)
-        part = sp.csr_matrix(
-            (entries.data[kept], (position[entries.row[kept]], place[entries.col[kept]])),
-            (numbers.size, unknowns),
-        )
-        B = sum(comm.allgather(part), sp.csr_matrix(part.shape))
-        blocks = [K for ranks in comm.allgather(list(own)) for K in ranks]
-        K = sp.block_diag(blocks, format="csr")
-        return _Group(F, K, B.tocsr(), rows, positions, owned)
+    B: sp.csr_matrix  # (r, n)
+    positions: Numbers  # (m,): where this rank's rows are among the r rows
 
     def gather(self, x: Vector) -> Vector:
         """Return the rows (r,) of a vector (m,). Collective."""
-        whole = np.zeros(self.rows_of_B.shape[0])
-        whole[self.positions[self.owned]] = x[self.rows[self.owned]]
-        comm = self.F.constraints.layout.comm
-        if comm.size > 1:
-            comm.Allreduce(MPI.IN_PLACE, whole)
+        layout, whole = self.constraints.layout, np.zeros(self.B.shape[0])
+        whole[self.positions[: layout.owned]] = x[: layout.owned]
+        layout.comm.Allreduce(MPI.IN_PLACE, whole)
         return whole
+
+    def part(self, whole: Vector) -> Vector:
+        """Return the rows that this rank owns, in a vector (m,)."""
+        return self.constraints.layout.owned_part(whole[self.positions])
 
     def face(
         self, projector: Projector, curvature: Vector, compliance: float
@@ -197,22 +150,18 @@ class _Group:
 
         They are rows, and the combinations across the forces of sites that slip.
         """
-        constraints = self.F.constraints
-        friction, layout, size = constraints.friction, constraints.layout, constraints.size
-        position = np.full(size, -1, dtype=np.int64)
-        position[self.rows] = self.positions
-        chosen = self.rows[self.owned]
-        chosen = chosen[projector.rows[chosen]]
+        constraints, size = self.constraints, self.constraints.size
+        friction, layout = constraints.friction, constraints.layout
+        chosen = np.flatnonzero(projector.rows[: layout.owned])
         combinations = [sp.identity(size, format="csr")[chosen]]
         compliances = [np.where(constraints.equality[chosen], 0.0, compliance)]
         if projector.across is not None:
             turning = friction.owned(layout.owned) & projector.across.any(axis=1)
-            turning &= position[friction.rows.max(axis=1, initial=0)] >= 0
             combinations.append(friction.combined(projector.across, size)[np.flatnonzero(turning)])
             compliances.append(compliance + curvature[turning])
         entries = sp.vstack(combinations).tocoo()
-        shape = entries.shape[0], self.rows_of_B.shape[0]
-        part = sp.csr_matrix((entries.data, (entries.row, position[entries.col])), shape)
+        shape = entries.shape[0], self.B.shape[0]
+        part = sp.csr_matrix((entries.data, (entries.row, self.positions[entries.col])), shape)
         whole = sp.vstack(layout.comm.allgather(part), format="csr")
         return whole, concatenate_ranks(layout.comm, np.concatenate(compliances))
 

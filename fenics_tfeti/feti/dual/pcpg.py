@@ -136,11 +136,9 @@ class Face:
     def direct(self, problem: DualProblem) -> Face:
         """Return the face with a direct solver as its preconditioner. Collective."""
         proximal, kind = self.contact_state.proximal, problem.preconditioner
-        assert self.precondition is not None and kind is not None and kind.direct is not None
+        assert kind is not None and kind.direct is not None
         compliance = 0.0 if proximal is None else 1.0 / proximal.stiffness
-        solve = kind.direct.on_face(
-            self.projector, self.contact_state.curvature, compliance, self.precondition
-        )
+        solve = kind.direct.on_face(self.projector, self.contact_state.curvature, compliance)
         return replace(self, precondition=solve)
 
     def curvature_gradient(self, x: Vector) -> Vector:
