@@ -43,6 +43,8 @@ _RISEN, _SAME = 1e4, 4.0
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
 _NO_CURVATURE = 64 * 2.0**-52
+# r'z after a step with the length of another face, relative to that before, that is too large
+_LONGER = 1e3
 # stiffness of a slip against a friction force, relative to that of a weight of 1. 1 / ||PFP||, that
 # of the whole body, is much too small where the body is thin: directions of forces then follow
 # those of slips too slowly
@@ -128,7 +130,16 @@ class Face:
             kernel = kind.on_kernel(rows, tangent, curvature, compliance)
             precondition = precondition if kernel is None else _sum_of(precondition, kernel)
         contact_state, loose = replace(contact_state, forces=fixed), LooseBodies.on_face(projector)
-        return Face(contact_state, projector, precondition, loose)
+        face = Face(contact_state, projector, precondition, loose)
+        return face.direct(problem) if kind is not None and kind.is_direct else face
+
+    def direct(self, problem: DualProblem) -> Face:
+        """Return the face with a direct solver as its preconditioner. Collective."""
+        proximal, kind = self.contact_state.proximal, problem.preconditioner
+        assert kind is not None and kind.direct is not None
+        compliance = 0.0 if proximal is None else 1.0 / proximal.stiffness
+        solve = kind.direct.on_face(self.projector, self.contact_state.curvature, compliance)
+        return replace(self, precondition=solve)
 
     def curvature_gradient(self, x: Vector) -> Vector:
         """Return Cx on the face, C the second derivative of the terms beside 1/2 l'Fl."""
@@ -231,7 +242,7 @@ def pcpg(
     iterate = start if resume and isinstance(start, PCPGIterate) else None
     if iterate is None:
         iterate = first_iterate(problem, face, start, products)
-    test_below, best, peak = 0.5 * iterate.residual, iterate, 0.0
+    test_below, best, peak, steps = 0.5 * iterate.residual, iterate, 0.0, 0
     while iterate.residual > 0.0 and products.total < max_products:
         if interruption.agreed():
             return iterate
@@ -256,8 +267,18 @@ def pcpg(
         following = None if _is_rounding(iterate, best) else _step(problem, face, iterate, products)
         if following is None:
             return _at_least_penetration(problem, face, replace(best, at_limit=True))
-        iterate = following
+        iterate, steps = following, steps + 1
+        kind = problem.preconditioner
+        if kind is not None and kind.becomes_direct(steps):
+            face, iterate = face.direct(problem), _restarted(iterate)
+            best, peak = iterate, 0.0
     return _at_least_penetration(problem, face, iterate)
+
+
+def _restarted(iterate: PCPGIterate) -> PCPGIterate:
+    """Return the iterate without what another preconditioner has made."""
+    none = np.zeros_like(iterate.gradient)
+    return replace(iterate, direction=none, rz_of_direction=1.0, preconditioned=None, rz=np.inf)
 
 
 def _at_least_penetration(problem: DualProblem, face: Face, iterate: PCPGIterate) -> PCPGIterate:
@@ -355,12 +376,18 @@ def first_iterate(
     # from another face, with a preconditioned step by the residual there: no product of its own
     alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
     z, rz = _precondition(face, face.projector.P(r), products)
-    z = z / problem.norm if rz is None else z
-    l = _nearest_on_face(problem, face, start.multipliers) + alpha * z
+    z, rz = (z / problem.norm, float("inf")) if rz is None else (z, rz)
+    nearest = _nearest_on_face(problem, face, start.multipliers)
+    known = start.multipliers, start.gradient
     if face.projector.free.shape[1]:
-        return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (alpha,), products)
-    # gradients of faces without free motions differ by G'a, which the projection removes
-    return _iterate_at(problem, face, l, start.multipliers, start.gradient, (alpha,), products)
+        # gradients of faces without free motions differ by G'a, which the projection removes
+        known = np.zeros_like(nearest), -problem.d
+    iterate = _iterate_at(problem, face, nearest + alpha * z, *known, (alpha,), products)
+    iterate = _with_preconditioned_residual(problem, face, iterate, products)
+    if iterate.rz <= _LONGER * rz:
+        return iterate
+    # the step was that of another preconditioner: too long
+    return _iterate_at(problem, face, nearest, *known, (), products)
 
 
 def _iterate_at(

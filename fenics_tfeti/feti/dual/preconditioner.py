@@ -22,6 +22,7 @@ from scipy.linalg import null_space
 from fenics_tfeti.feti.constraints.coupling import GramInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
+from fenics_tfeti.feti.dual.direct_faces import DirectFaces
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import SparseCholesky
 from fenics_tfeti.feti.local.congruence import times_rows
@@ -45,6 +46,7 @@ class Preconditioner:
     apply: Callable[[Vector], Vector]
     constraints: Constraints
     scaling: DeluxeScaling | None = None  # of stiff modes, which `apply` has too
+    direct: DirectFaces | None = None  # for faces that converge slowly; None where K is indefinite
     _inverse: GramInverse | None = field(init=False, repr=False, default=None)
 
     def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
@@ -70,6 +72,18 @@ class Preconditioner:
             return part
 
         return precondition
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether faces are solved directly."""
+        return self.direct is not None and self.direct.slow
+
+    def becomes_direct(self, steps: int) -> bool:
+        """Tell if faces are solved directly from now on, after some steps on one. Collective."""
+        if self.direct is None or self.direct.slow:
+            return False
+        self.direct.slow = steps >= self.direct.patience
+        return self.direct.slow
 
     def _with_scaling(self, close: Operator) -> Operator:
         layout = self.constraints.layout

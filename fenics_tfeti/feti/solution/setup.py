@@ -32,6 +32,7 @@ from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomain
 from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
+from fenics_tfeti.feti.dual.direct_faces import DirectFaces
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
     Choice,
@@ -188,7 +189,9 @@ class DualSetup:
                 ]
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
-            preconditioner = Preconditioner(apply, constraints, scaling)
+            indefinite = bool(system.comm.allreduce(negative))
+            direct = None if indefinite else DirectFaces(F, local.stiffness, local.unit, package)
+            preconditioner = Preconditioner(apply, constraints, scaling, direct)
         return DualSetup(
             local,
             constraints,

@@ -1,0 +1,174 @@
+"""The inverse of F on a face, by a sparse factor of all bodies joined along the face.
+
+The preconditioners close the gaps of a face by displacements that hold the rest of the contact
+surfaces. Bodies that bend, such as stacked leaf springs, would rather bend than be squeezed: there
+the condition number is the ratio of the two stiffnesses, 10^5 and more. With the stiffness matrices
+K of the subdomains, the rows B of a face and a compliance D of the rows,
+
+    (B K^+ B' + D)^{-1} = D^{-1} - D^{-1} B (K + B'D^{-1}B)^{-1} B'D^{-1},
+
+which is exact but for a D that is small beside F; curvature of friction and the proximal term are
+in D, too. A factor for each face pays where conjugate gradients have been slow. All ranks have it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from mpi4py import MPI
+
+import numpy as np
+import scipy.sparse as sp
+
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.tolerances import ZERO
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
+from fenics_tfeti.typing import Numbers, Operator, Vector
+
+# unknowns of all subdomains that each rank factors for each face
+_MOST = 50_000
+# steps of conjugate gradients that take the time of a factor, measured with subdomains of 600 to
+# 50,000 unknowns in three dimensions: a solve is an eightieth of it, a step some of them
+_STEPS = 40
+# D of all rows, relative to F of a row: small, and no smaller than rounding needs
+_COMPLIANCE = 1e-3
+# stiffness of what no row of the face holds, relative to that of nodes
+_SUPPORT = 1e-11
+
+
+@dataclass
+class DirectFaces:
+    """Direct solvers of faces, from the first one on that converges slowly."""
+
+    F: DualOperator
+    stiffness: Sequence[sp.csr_matrix]  # (n, n): K_i of each class
+    unit: float  # stiffness that a weight of 1 stands for [N/m]
+    package: str  # of the factors
+    slow: bool = field(init=False, default=False)  # whether conjugate gradients were slow on a face
+    _last: tuple[sp.csr_matrix, Vector, Callable[[Vector], Vector]] | None = field(
+        init=False, repr=False, default=None
+    )
+
+    @cached_property
+    def patience(self) -> float:
+        """Number of steps on a face that take the time of a factor, infinite without. Collective.
+
+        The time for a factor of all subdomains grows with the 4/3rd power of their number beside
+        that of a step, as measured.
+        """
+        number, unknowns = self.F.constraints.layout.comm.allreduce(
+            np.array([len(self._own), sum(K.shape[0] for K in self._own)])
+        )
+        return float(_STEPS * number ** (1 / 3)) if unknowns <= _MOST else np.inf
+
+    def on_face(self, projector: Projector, curvature: Vector, compliance: float) -> Operator:
+        """Return x -> this rank's part of the inverse of F + C, x zero off the face. Collective.
+
+        `curvature` (k,) of forces that turn and the `compliance` of rows with bounds are those of
+        C.
+        """
+        joined = self._joined
+        C, D = joined.face(projector, curvature, compliance)
+        D += _COMPLIANCE / self.unit
+        if self._last is None or not _equal(self._last[:2], (C, D)):
+            self._last = C, D, self._inverse(joined, C, D)
+        inverse = self._last[2]
+        return lambda x: joined.part(inverse(joined.gather(x)))
+
+    def _inverse(self, joined: _Joined, C: sp.csr_matrix, D: Vector) -> Callable[[Vector], Vector]:
+        """Factor K + B'D^{-1}B of a face."""
+        B, K = (C @ joined.B).tocsr(), joined.stiffness
+        support = K.diagonal()
+        support[support == 0.0] = support.max()  # of rigid bodies
+        A = K + B.T @ sp.diags(1.0 / D) @ B + _SUPPORT * sp.diags(support)
+        factor = SparseCholesky(A.tocsr(), self.package)
+
+        def solve(x: Vector) -> Vector:
+            y = (C @ x) / D
+            y -= (B @ factor.solve(B.T @ y)) / D
+            on_rows: Vector = C.T @ y
+            return on_rows
+
+        return solve
+
+    @cached_property
+    def _own(self) -> list[sp.csr_matrix]:
+        """The stiffness matrices of the subdomains of this rank."""
+        classes = zip(self.stiffness, self.F.interface.classes, strict=True)
+        return [K for K, congruent in classes for _ in congruent.members]
+
+    @cached_property
+    def _joined(self) -> _Joined:
+        """K and B, gathered. Collective."""
+        F, comm = self.F, self.F.constraints.layout.comm
+        classes = zip(F.interface.unknowns, F.interface.classes, strict=True)
+        unknowns = [local for local, congruent in classes for _ in congruent.members]
+        sizes = [K.shape[0] for K in self._own]
+        first, number = first_of_rank(comm, sum(sizes))
+        starts = first + np.cumsum([0, *sizes])[:-1]
+        place = [begin + local for begin, local in zip(starts, unknowns, strict=True)]
+        layout = F.constraints.layout
+        every = np.sort(concatenate_ranks(comm, layout.numbers[: layout.owned]))
+        positions, entries = np.searchsorted(every, layout.numbers), F.interface.matrix.tocoo()
+        columns = np.concatenate([np.zeros(0, dtype=np.int64), *place])[entries.col]
+        shape = every.size, number
+        part = sp.csr_matrix((entries.data, (positions[entries.row], columns)), shape)
+        B = sum(comm.allgather(part), sp.csr_matrix(shape))
+        K = sp.block_diag([K for own in comm.allgather(self._own) for K in own], format="csr")
+        return _Joined(F.constraints, K, B.tocsr(), positions)
+
+
+@dataclass(frozen=True)
+class _Joined:
+    """K and B of all subdomains; the same on all ranks but for the positions."""
+
+    constraints: Constraints
+    stiffness: sp.csr_matrix  # (n, n): K
+    B: sp.csr_matrix  # (r, n)
+    positions: Numbers  # (m,): where this rank's rows are among the r rows
+
+    def gather(self, x: Vector) -> Vector:
+        """Return the rows (r,) of a vector (m,). Collective."""
+        layout, whole = self.constraints.layout, np.zeros(self.B.shape[0])
+        whole[self.positions[: layout.owned]] = x[: layout.owned]
+        layout.comm.Allreduce(MPI.IN_PLACE, whole)
+        return whole
+
+    def part(self, whole: Vector) -> Vector:
+        """Return the rows that this rank owns, in a vector (m,)."""
+        return self.constraints.layout.owned_part(whole[self.positions])
+
+    def face(
+        self, projector: Projector, curvature: Vector, compliance: float
+    ) -> tuple[sp.csr_matrix, Vector]:
+        """Return the orthonormal combinations (f, r) of rows on a face, and C of each. Collective.
+
+        They are rows, and the combinations across the forces of sites that slip.
+        """
+        constraints, size = self.constraints, self.constraints.size
+        friction, layout = constraints.friction, constraints.layout
+        chosen = np.flatnonzero(projector.rows[: layout.owned])
+        combinations = [sp.identity(size, format="csr")[chosen]]
+        compliances = [np.where(constraints.equality[chosen], 0.0, compliance)]
+        if projector.across is not None:
+            turning = friction.owned(layout.owned) & projector.across.any(axis=1)
+            combinations.append(friction.combined(projector.across, size)[np.flatnonzero(turning)])
+            compliances.append(compliance + curvature[turning])
+        entries = sp.vstack(combinations).tocoo()
+        shape = entries.shape[0], self.B.shape[0]
+        part = sp.csr_matrix((entries.data, (entries.row, self.positions[entries.col])), shape)
+        whole = sp.vstack(layout.comm.allgather(part), format="csr")
+        return whole, concatenate_ranks(layout.comm, np.concatenate(compliances))
+
+
+def _equal(face: tuple[sp.csr_matrix, Vector], other: tuple[sp.csr_matrix, Vector]) -> bool:
+    """Tell whether two faces have the same combinations of rows, and the same C."""
+    (A, D), (B, E) = face, other
+    if A.shape != B.shape or not np.allclose(D, E, rtol=ZERO, atol=0.0):
+        return False
+    return bool(abs(A - B).max() <= ZERO) if A.nnz or B.nnz else True
