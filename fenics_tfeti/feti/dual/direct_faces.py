@@ -46,25 +46,35 @@ class DirectFaces:
     """Direct solvers of faces, from the first one on that converges slowly."""
 
     F: DualOperator
-    stiffness: Sequence[sp.csr_matrix]  # (n, n): K_i of each class
+    stiffness: Sequence[sp.csr_matrix]  # (n, n): K_i of each subdomain of this rank
     unit: float  # stiffness that a weight of 1 stands for [N/m]
     package: str  # of the factors
+    # steps on a face that take the time of a factor; infinite without direct solvers
+    patience: float
     slow: bool = field(init=False, default=False)  # whether conjugate gradients were slow on a face
     _last: tuple[sp.csr_matrix, Vector, Callable[[Vector], Vector]] | None = field(
         init=False, repr=False, default=None
     )
 
-    @cached_property
-    def patience(self) -> float:
-        """Number of steps on a face that take the time of a factor, infinite without. Collective.
+    @staticmethod
+    def build(
+        F: DualOperator, stiffness: Sequence[sp.csr_matrix], unit: float, package: str
+    ) -> DirectFaces:
+        """Make them for the subdomains of all ranks. Collective.
 
         The time for a factor of all subdomains grows with the 4/3rd power of their number beside
         that of a step, as measured.
         """
-        number, unknowns = self.F.constraints.layout.comm.allreduce(
-            np.array([len(self._own), sum(K.shape[0] for K in self._own)])
-        )
-        return float(_STEPS * number ** (1 / 3)) if unknowns <= _MOST else np.inf
+        own = [
+            K
+            for K, congruent in zip(stiffness, F.interface.classes, strict=True)
+            for _ in congruent.members
+        ]
+        counts = np.array([len(own), sum(K.shape[0] for K in own)])
+        F.constraints.layout.comm.Allreduce(MPI.IN_PLACE, counts)
+        number, unknowns = counts.tolist()
+        patience = _STEPS * number ** (1 / 3) if unknowns <= _MOST else np.inf
+        return DirectFaces(F, own, unit, package, patience)
 
     def on_face(self, projector: Projector, curvature: Vector, compliance: float) -> Operator:
         """Return x -> this rank's part of the inverse of F + C, x zero off the face. Collective.
@@ -97,18 +107,12 @@ class DirectFaces:
         return solve
 
     @cached_property
-    def _own(self) -> list[sp.csr_matrix]:
-        """The stiffness matrices of the subdomains of this rank."""
-        classes = zip(self.stiffness, self.F.interface.classes, strict=True)
-        return [K for K, congruent in classes for _ in congruent.members]
-
-    @cached_property
     def _joined(self) -> _Joined:
         """K and B, gathered. Collective."""
         F, comm = self.F, self.F.constraints.layout.comm
         classes = zip(F.interface.unknowns, F.interface.classes, strict=True)
         unknowns = [local for local, congruent in classes for _ in congruent.members]
-        sizes = [K.shape[0] for K in self._own]
+        sizes = [K.shape[0] for K in self.stiffness]
         first, number = first_of_rank(comm, sum(sizes))
         starts = first + np.cumsum([0, *sizes])[:-1]
         place = [begin + local for begin, local in zip(starts, unknowns, strict=True)]
@@ -119,7 +123,8 @@ class DirectFaces:
         shape = every.size, number
         part = sp.csr_matrix((entries.data, (positions[entries.row], columns)), shape)
         B = sum(comm.allgather(part), sp.csr_matrix(shape))
-        K = sp.block_diag([K for own in comm.allgather(self._own) for K in own], format="csr")
+        blocks = [K for own in comm.allgather(self.stiffness) for K in own]
+        K = sp.block_diag(blocks, format="csr")
         return _Joined(F.constraints, K, B.tocsr(), positions)
 
 

@@ -189,8 +189,9 @@ class DualSetup:
                 ]
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
-            indefinite = bool(system.comm.allreduce(negative))
-            direct = None if indefinite else DirectFaces(F, local.stiffness, local.unit, package)
+            indefinite, direct = bool(system.comm.allreduce(negative)), None
+            if not indefinite:
+                direct = DirectFaces.build(F, local.stiffness, local.unit, package)
             preconditioner = Preconditioner(apply, constraints, scaling, direct)
         return DualSetup(
             local,
