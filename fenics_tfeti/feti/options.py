@@ -47,7 +47,8 @@ class Options:
         takes the one that moves less; or conjugate gradients with algebraic multigrid.
     deflation : {"auto", "on", "off"}
         Deflation of the directions in which subdomains make F large: of slender subdomains and
-        those on whose interface the material jumps (with weights of stiffness), of all, or of none.
+        those on whose interface the material jumps (with weights of stiffness), of all, or of none
+        (which leaves slow faces to conjugate gradients, too).
     max_products : int
         Limit on the products with F.
     smalbe_rho, smalbe_M0, smalbe_beta, smalbe_eta : float

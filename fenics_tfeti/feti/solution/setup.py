@@ -190,7 +190,7 @@ class DualSetup:
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
             indefinite, direct = bool(system.comm.allreduce(negative)), None
-            if not indefinite:
+            if not indefinite and options.deflation != "off":
                 direct = DirectFaces.build(F, local.stiffness, local.unit, package)
             preconditioner = Preconditioner(apply, constraints, scaling, direct)
         return DualSetup(
