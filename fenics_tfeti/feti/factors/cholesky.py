@@ -222,14 +222,6 @@ class DowndatedCholesky(SparseFactor):
     eigenvalues, springs are added that make it positive definite, in place, and taken off again by
     further columns of U. `FactorizationError` if there are more of them, if A - UU' is singular, or
     where CHOLMOD's solves are not compiled.
-
-    Examples
-    --------
-    >>> import numpy as np, scipy.sparse as sp
-    >>> A, U = sp.csr_matrix(np.diag([1.0, 2.0])), np.array([[0.0], [2.0]])
-    >>> factor = DowndatedCholesky(A, U, "cholmod")
-    >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist(), factor.negative
-    ([3.0, -2.0], 1)
     """
 
     def __init__(
