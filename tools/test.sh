@@ -31,12 +31,6 @@ color=no  # mpirun gives the ranks a terminal even where there is none
 if "$mpirun" --version | grep -q "Open MPI"; then
     options=(--oversubscribe --mca mpi_yield_when_idle 1)
     export OMPI_ALLOW_RUN_AS_ROOT=1 OMPI_ALLOW_RUN_AS_ROOT_CONFIRM=1
-    if command -v cc >/dev/null; then  # waiting ranks leave their processor to others
-        preload=$(mktemp -d)
-        trap 'rm -rf "$preload"' EXIT
-        cc -O2 -shared -fPIC -o "$preload/waiting_ranks.so" tools/waiting_ranks.c
-        options+=(-x "LD_PRELOAD=$preload/waiting_ranks.so")
-    fi
 fi
 # A hang that neither pytest_ranks nor pytest-timeout ends, timeout does.
 export PYTHONPATH=tools${PYTHONPATH:+:$PYTHONPATH}
