@@ -188,7 +188,7 @@ def test_checkpoints_that_cannot_be_restored(path, saved):
     with pytest.raises(InputError, match="not solved yet"):
         problem.restore(written)
     with pytest.raises(InputError, match="the nodes differ"):
-        block_on_disc(block(COMM, 6), Disc()).restore(written)
+        block_on_disc(block(COMM, 8), Disc()).restore(written)
     save_checkpoint(path, problem.system, problem._solver.state)
     with pytest.raises(InputError, match="the format is 'fenics_tfeti checkpoint"):
         block_on_disc(block(COMM), Disc()).restore(path)

@@ -8,7 +8,15 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from mesh_problems import Ground, MeshProblem, Rubbing, Support, draw_mesh, penetrations
+from mesh_problems import (
+    Ground,
+    MeshProblem,
+    Rubbing,
+    Support,
+    draw_mesh,
+    keep_held_roles,
+    penetrations,
+)
 from numpy.random import Generator
 from numpy.typing import NDArray
 from oracle import Answer
@@ -41,6 +49,7 @@ def draw_mesh_case(seed: int) -> MeshProblem:
         problem.geometry = Exact(PENETRATION)
         problem.grounds = [replace(g, tilt=0.0) for g in problem.grounds]
         problem.story.append("exact non-penetration, no tilts")
+    keep_held_roles(problem)
     return problem
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from itertools import permutations
 from typing import Any
 
 from mpi4py import MPI
@@ -37,6 +38,7 @@ __all__ = [
     "contact_places",
     "draw_mesh",
     "glue",
+    "keep_held_roles",
     "node_numbers",
     "penetrations",
     "pose",
@@ -620,11 +622,36 @@ def contact_places(problem: MeshProblem, exchanged: list[bool]) -> list[SlaveNod
     for number, j in enumerate(problem.joints):
         if exchanged[number]:
             faces[number] = (j.master, j.axis, -j.side)
-    nodes = [_face_nodes(problem, *face) for face in faces]
-    return [
-        SlaveNodes(problem, box, each[_vertices(problem, each)])
-        for (box, *_), each in zip(faces, nodes, strict=True)
-    ]
+    places = []
+    for number, face in enumerate(faces):
+        nodes = _face_nodes(problem, *face)
+        nodes = nodes[_vertices(problem, nodes)]
+        places.append(SlaveNodes(problem, face[0], nodes[~_held(problem, number, face, nodes)]))
+    return places
+
+
+def keep_held_roles(problem: MeshProblem) -> None:
+    """Leave roles as given where supports hold nodes of a joint, of which the conditions depend."""
+    for number, j in enumerate(problem.joints):
+        faces = (j.slave, j.axis, j.side), (j.master, j.axis, -j.side)
+        if any(_held(problem, number, f, _face_nodes(problem, *f)).any() for f in faces):
+            problem.pairing.setdefault(number, {})["roles"] = "given"
+
+
+def _held(problem: MeshProblem, contact: int, face: tuple[int, int, int], nodes: Numbers) -> Any:
+    """Tell at which nodes of a face a support of another face holds the normal displacement.
+
+    They have no mortar condition, but one with an obstacle, or with the node opposite.
+    """
+    box, axis, side = face
+    held = np.zeros(nodes.size, dtype=bool)
+    asked = problem.pairing.get(contact, {}).get("partners") == "mortar"
+    if contact >= len(problem.joints) or not (problem.degree == 2 or asked):
+        return held
+    for s in problem.supports:
+        if s.box == box and axis in s.values and (s.axis, s.side) != (axis, side):
+            held |= np.isin(nodes, _face_nodes(problem, s.box, s.axis, s.side))
+    return held
 
 
 def tangents(problem: MeshProblem, contact: int, x: Vector) -> Vector:
@@ -676,7 +703,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
             for component, value in s.values.items():
                 fixed[gdim * int(i) + component] = value
     where = np.array(sorted(fixed), dtype=np.int64)
-    weights = [_weights(problem, posed, number, face) for face in problem.faces()]
+    weights = [_weights(problem, posed, number, *face) for face in enumerate(problem.faces())]
     rows, gap, contact = _rows(problem, coordinates, weights)
     springs = (
         _spring_rows(problem, posed, order)
@@ -725,13 +752,16 @@ _ON_TRIANGLE = np.array([2.0, -1.0, 3.0, -1.0]) / 15.0
 
 
 def _weights(
-    problem: MeshProblem, posed: Scene, number: Numbers, face: tuple[int, int, int]
+    problem: MeshProblem, posed: Scene, number: Numbers, contact: int, face: tuple[int, int, int]
 ) -> _Weights:
-    """Integrate the multipliers of a face: at nodes, or dual functions at the vertices."""
+    """Integrate the multipliers of a face: at nodes, or dual functions at the vertices.
+
+    Those of vertices that a support holds are added, in equal shares, to those beside them.
+    """
     gdim, step = problem.gdim, problem.intervals + 1
     box, axis, side = face
     nodes = _face_nodes(problem, box, axis, side)
-    rows, columns, values = [], [], []
+    rows, columns, values, ends = [], [], [], []
     others = [k for k in range(gdim) if k != axis]
     facets = posed.facet_tags.find(_face_tag(problem, box, axis, side))
     size = np.prod(problem.edges[others] / problem.divisions)
@@ -740,6 +770,7 @@ def _weights(
         local = local[np.isin(local, nodes)]
         place = local[:, None] // step ** np.array(others) % step
         vertex = np.flatnonzero((place % problem.degree == 0).all(axis=1))
+        ends.extend(permutations(local[vertex], 2))
         block = _dual_block(problem, place, vertex) * size
         rows.append(np.repeat(local[vertex], local.size))
         columns.append(np.tile(local, vertex.size))
@@ -755,6 +786,13 @@ def _weights(
         ),
         shape=(slave.size, nodes.size),
     )
+    held = _held(problem, contact, face, slave)
+    j, k = np.unique(np.searchsorted(slave, np.array(ends)), axis=0).T
+    given = held[j] & ~held[k]
+    shares = sp.csr_matrix(
+        (1.0 / np.bincount(j[given])[j[given]], (k[given], j[given])), 2 * held.shape
+    )
+    matrix, slave = ((sp.identity(held.size) + shares) @ matrix)[~held], slave[~held]
     area = np.asarray(matrix.sum(axis=1)).ravel()
     return _Weights(slave, (sp.diags(1.0 / area) @ matrix).tocsr(), area)
 
@@ -910,8 +948,8 @@ def _rows(
             gap = _gap_and_normal(problem, g, x[nodes])[0]
             normal = -_gap_and_normal(problem, g, x[of_face.slave])[1]
         C.append(_condition_rows(problem, number, of_face, normal[:, None], x.size))
-        # infinite gaps have no mean, and are at nodes with conditions of their own
-        gaps.append(of_face.mean @ gap if problem.degree > 1 else gap)
+        # infinite gaps, of obstacles of degree 1, have no mean: all nodes have their own conditions
+        gaps.append(of_face.mean @ gap if problem.degree > 1 or ground < 0 else gap)
         contact.append(np.full(of_face.slave.size, number, dtype=np.int64))
     rows = sp.vstack(C, format="csr") if C else sp.csr_matrix((0, x.size))
     return rows, np.concatenate(gaps), np.concatenate(contact)

@@ -35,7 +35,7 @@ class Disc:
         return Sphere((0.6, self.height, 0.0), 1.0)(x)
 
 
-def block(comm, divisions: int = 8):
+def block(comm, divisions: int = 12):
     """Return the mesh of a block.
 
     On three ranks and more dolfinx may distribute the same mesh in another way when it is made
