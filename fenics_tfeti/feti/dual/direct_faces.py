@@ -38,7 +38,7 @@ _STEPS = 40
 # D of all rows, relative to F of a row: small, and no smaller than rounding needs
 _COMPLIANCE = 1e-3
 # stiffness of what no row of the face holds, relative to that of nodes
-_SUPPORT = 1e-11
+_SUPPORT = 1e-10
 
 
 @dataclass
