@@ -635,7 +635,7 @@ def keep_held_roles(problem: MeshProblem) -> None:
     for number, j in enumerate(problem.joints):
         faces = (j.slave, j.axis, j.side), (j.master, j.axis, -j.side)
         if any(_held(problem, number, f, _face_nodes(problem, *f)).any() for f in faces):
-            problem.pairing.setdefault(number, {})["roles"] = "given"
+            problem.pairing.setdefault(number, {"partners": None})["roles"] = "given"
 
 
 def _held(problem: MeshProblem, contact: int, face: tuple[int, int, int], nodes: Numbers) -> Any:
