@@ -76,7 +76,7 @@ class SteppedProblem(ABC):
     @property
     @abstractmethod
     def _exact(self) -> str:
-        """What measures gaps on the deformed mesh, by its name; empty if nothing does."""
+        """The argument by which gaps are measured on the deformed mesh; empty if none are."""
 
     @abstractmethod
     def _first_origin(self) -> SlipOrigin:

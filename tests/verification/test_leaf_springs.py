@@ -41,8 +41,8 @@ def test_leaves_share_the_load(steps, coefficient):
     problem = scene.problem()
     problem.solve()
     products = problem.report.products["total"]
-    # without the direct solver of faces it is more than 5000, or no convergence
-    assert products <= 800, products
+    # without the direct solver of faces it is 1449 to more than 10,000
+    assert products <= 500, products
     for k, result in enumerate(problem.results, start=1):
         # finer leaves are softer
         share = FORCE * k / LEAVES

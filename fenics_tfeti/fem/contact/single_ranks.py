@@ -56,7 +56,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class _Found:
-    """What a rank gets of the conditions of a pair: arrays as in `ContactPairing`."""
+    """The part of the conditions of a pair that a rank gets: arrays as in `ContactPairing`."""
 
     terms: Terms  # of global nodes
     of_conditions: list[Vector]  # normals, gaps, areas, coverage

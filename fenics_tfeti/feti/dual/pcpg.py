@@ -43,8 +43,6 @@ _RISEN, _SAME = 1e4, 4.0
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
 _NO_CURVATURE = 64 * 2.0**-52
-# r'z after a step with the length of another face, relative to that before, that is too large
-_LONGER = 1e3
 # stiffness of a slip against a friction force, relative to that of a weight of 1. 1 / ||PFP||, that
 # of the whole body, is much too small where the body is thin: directions of forces then follow
 # those of slips too slowly
@@ -373,21 +371,17 @@ def first_iterate(
     if not isinstance(start, PCPGIterate):
         l = _nearest_on_face(problem, face, start)
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
-    # from another face, with a preconditioned step by the residual there: no product of its own
-    alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
-    z, rz = _precondition(face, face.projector.P(r), products)
-    z, rz = (z / problem.norm, float("inf")) if rz is None else (z, rz)
-    nearest = _nearest_on_face(problem, face, start.multipliers)
-    known = start.multipliers, start.gradient
+    l, kind = _nearest_on_face(problem, face, start.multipliers), problem.preconditioner
+    steps = tuple[float, ...]()
+    if kind is None or not kind.is_direct:
+        # from another face, with a preconditioned step by the residual there: no product of its own
+        alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
+        z, rz = _precondition(face, face.projector.P(r), products)
+        l, steps = l + alpha * (z / problem.norm if rz is None else z), (alpha,)
     if face.projector.free.shape[1]:
-        # gradients of faces without free motions differ by G'a, which the projection removes
-        known = np.zeros_like(nearest), -problem.d
-    iterate = _iterate_at(problem, face, nearest + alpha * z, *known, (alpha,), products)
-    iterate = _with_preconditioned_residual(problem, face, iterate, products)
-    if iterate.rz <= _LONGER * rz:
-        return iterate
-    # the step was that of another preconditioner: too long
-    return _iterate_at(problem, face, nearest, *known, (), products)
+        return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, steps, products)
+    # gradients of faces without free motions differ by G'a, which the projection removes
+    return _iterate_at(problem, face, l, start.multipliers, start.gradient, steps, products)
 
 
 def _iterate_at(

@@ -174,6 +174,7 @@ class DualSetup:
         constraints = coarse_space.constraints
         members = [congruent.members.size for congruent in local.classes]
         negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
+        of_all = system.comm.allreduce(negative)
         trials = _trial_displacements(system, options, local, F)
         choice, reactions = _chosen_reactions(system, options, local, F, trials, package, negative)
         preconditioner, scaling, modes = None, None, list[StiffModes | None]()
@@ -189,8 +190,8 @@ class DualSetup:
                 ]
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
-            indefinite, direct = bool(system.comm.allreduce(negative)), None
-            if not indefinite and options.deflation != "off":
+            direct = None
+            if not of_all and options.deflation != "off":
                 direct = DirectFaces.build(F, local.stiffness, local.unit, package)
             preconditioner = Preconditioner(apply, constraints, scaling, direct)
         return DualSetup(
@@ -204,7 +205,7 @@ class DualSetup:
             RowBodies.build(system, constraints, local.unknowns.ends),
             trials,
             modes,
-            system.comm.allreduce(negative),
+            of_all,
         )
 
     def deflated(
