@@ -17,6 +17,9 @@ from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Numbers
 
+NO_TAG = int(np.iinfo(np.int64).min)
+"""In place of a tag, where there is none."""
+
 
 def cell_type(domain: Mesh) -> ReferenceCell:
     """Return the type of the mesh's cells."""
@@ -46,10 +49,18 @@ def body_names(cell_tags: Any) -> Mapping[int, str]:
     return names
 
 
+def dense_tags(tags: Any, size: int) -> Numbers:
+    """Return the tags, if any, of the first entities of this rank; `NO_TAG` for those without."""
+    dense = np.full(size, NO_TAG, dtype=np.int64)
+    if tags is not None:
+        first = tags.indices < size
+        dense[tags.indices[first]] = tags.values[first]
+    return dense
+
+
 def tags_of_cells(domain: Mesh, cell_tags: Any) -> Numbers:
     """Return the tag of each cell that this rank owns; all cells need one. Collective."""
     owned = owned_cells(domain)
-    tags = np.zeros(owned, dtype=np.int64)
     with raise_collectively(domain.comm):
         if not (hasattr(cell_tags, "indices") and hasattr(cell_tags, "dim")):
             raise InputError(
@@ -61,13 +72,10 @@ def tags_of_cells(domain: Mesh, cell_tags: Any) -> Numbers:
                 f"cell_tags are on entities of dimension {cell_tags.dim}, cells have dimension "
                 f"{domain.topology.dim}: were the facet tags passed?"
             )
-        on_owned = cell_tags.indices < owned
-        tagged = np.zeros(owned, dtype=bool)
-        tagged[cell_tags.indices[on_owned]] = True
-        tags[cell_tags.indices[on_owned]] = cell_tags.values[on_owned]
-        if not tagged.all():
+        tags = dense_tags(cell_tags, owned)
+        if untagged := np.count_nonzero(tags == NO_TAG):
             raise InputError(
-                f"cell_tags leave {np.count_nonzero(~tagged)} of {owned} cells of rank "
+                f"cell_tags leave {untagged} of {owned} cells of rank "
                 f"{domain.comm.rank} without a tag: tag every cell, or leave cell_tags out where "
                 "they are optional"
             )

@@ -65,7 +65,7 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
     groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
     form = forms.bilinear
     if "cell" in form.tags:
-        groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in form.ids["cell"]]
+        groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in np.unique(form.tags["cell"])]
     selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
         if values.dtype.kind == "f" and len(values):

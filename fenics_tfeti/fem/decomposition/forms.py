@@ -16,7 +16,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.topology import cell_facets, owned_cells
+from fenics_tfeti.fem.topology import NO_TAG, cell_facets, dense_tags, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
@@ -37,8 +37,8 @@ _TRANSLATION_INVARIANT = (
 )
 # UFL's measures by the kind of their integrals
 _MEASURES = {"cell": "dx", "exterior_facet": "ds"}
-# in place of a tag, where the form is not integrated
-_NO_TAG = np.iinfo(np.int64).min
+# in place of a tag, in compiled forms too
+_EVERYWHERE = -1
 
 
 @dataclass(frozen=True)
@@ -46,19 +46,24 @@ class PreparedForm:
     """A compiled form, with the tags of its integrals on the user's cells and facets."""
 
     name: str  # for messages
-    form: ufl.Form  # whose integrals all name their tags
+    form: ufl.Form
     compiled: _compat.CompiledForm
-    ids: dict[str, list[int]]  # the tags that integrals name, by kind of integral
-    tags: dict[str, Numbers]  # tag of each cell (m,), and of each facet of it (m, f)
+    # by kind of integral, for each cell (m,) or facet of it (m, f) that is integrated over: its tag
+    # if an integral names that, else _EVERYWHERE
+    tags: dict[str, Numbers]
     translation_invariant: bool  # a translated cell has the same element matrix
 
     def integrated(self, cells: Indices) -> Mask:
         """Tell which of some of this rank's cells the form has integrals over, or over facets."""
         mask = np.zeros(cells.size, dtype=bool)
-        for kind, tags in self.tags.items():
-            listed = np.isin(tags[cells], self.ids[kind])
-            mask |= listed.any(axis=tuple(range(1, listed.ndim)))
+        for kind, tag, _ in self.compiled.integrals:
+            mask[self._entities(kind, tag, cells)[0]] = True
         return mask
+
+    def _entities(self, kind: str, tag: int, cells: Indices) -> tuple[Indices, ...]:
+        """Return the rows of the cells that an integral is over, or those of facets and these."""
+        tags = self.tags[kind][cells]
+        return np.nonzero(tags != NO_TAG if tag == _EVERYWHERE else tags == tag)
 
     def element_tensors(self, space: FunctionSpace, cells: Indices) -> Vector:
         """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
@@ -70,7 +75,7 @@ class PreparedForm:
         domain = space.mesh
         coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
         for kind, tag, kernel in self.compiled.integrals:
-            rows, *facet = np.nonzero(self.tags[kind][cells] == tag)
+            rows, *facet = self._entities(kind, tag, cells)
             facets = facet[0].astype(np.int32) if facet else None
             if rows.size:
                 self.compiled.add_element_tensors(
@@ -108,22 +113,22 @@ def prepare_form(
         _check_coefficients(form, name, domain)
         data = {kind: _subdomain_data(form, kind, ids[kind], name, domain) for kind in _MEASURES}
 
-    owned, facet_of = owned_cells(domain), cell_facets(domain)
-    facets = np.zeros(int(facet_of.max(initial=-1)) + 1, dtype=bool)
-    facets[facet_of[:owned][exterior]] = True
-    entities = {"cell": np.ones(owned, dtype=bool), "exterior_facet": facets}
-    tags = {}
-    for kind, integrated in entities.items():
-        _check_used(domain, data[kind], integrated, ids[kind], f"the {name} has {_MEASURES[kind]}")
-        if any(integral.integral_type() == kind for integral in form.integrals()):
-            dense = _dense_tags(data[kind], integrated.size, ids[kind])
-            form, ids[kind], tags[kind] = _tag_everywhere(form, kind, ids[kind], dense)
-    if "exterior_facet" in tags:
-        tags["exterior_facet"] = np.where(
-            exterior, tags["exterior_facet"][facet_of[:owned]], _NO_TAG
-        )
+    owned, facets = owned_cells(domain), cell_facets(domain)
+    on_facets = dense_tags(data["exterior_facet"], int(facets.max(initial=-1)) + 1)[facets[:owned]]
+    tags = {"cell": dense_tags(data["cell"], owned), "exterior_facet": on_facets}
+    integrated = {"cell": np.ones(owned, dtype=bool), "exterior_facet": exterior}
+    for kind, tag in tags.items():
+        present = tag[integrated[kind] & (tag != NO_TAG)]
+        _check_used(domain, present, ids[kind], f"the {name} has {_MEASURES[kind]}")
     compiled = _compat.CompiledForm(form, domain.comm, compiler)
-    return PreparedForm(name, form, compiled, ids, tags, _is_translation_invariant(form))
+    integrals = {(kind, tag) for kind, tag, _ in compiled.integrals}
+    for kind, tag in tags.items():
+        is_everywhere = (kind, _EVERYWHERE) in integrals
+        tag[~np.isin(tag, ids[kind])] = _EVERYWHERE if is_everywhere else NO_TAG
+        tag[~integrated[kind]] = NO_TAG
+    kinds = {kind for kind, _ in integrals}
+    tags = {kind: tag for kind, tag in tags.items() if kind in kinds}
+    return PreparedForm(name, form, compiled, tags, _is_translation_invariant(form))
 
 
 def _is_translation_invariant(form: ufl.Form) -> bool:
@@ -222,16 +227,11 @@ def _subdomain_data(form: ufl.Form, kind: str, ids: list[int], name: str, domain
     return tags
 
 
-def _check_used(domain: Mesh, tags: Any, integrated: Mask, ids: list[int], which: str) -> None:
-    """Check that each tag that a form names is on some of the cells or facets. Collective.
-
-    `integrated` tells which of this rank's cells or facets integrals are over; others do not count.
-    """
+def _check_used(domain: Mesh, present: Numbers, ids: list[int], which: str) -> None:
+    """Check that each tag that a form names is present where integrals are over. Collective."""
     if not ids:
         return
-    inside = tags.indices < integrated.size  # not those of ghosts
-    present = np.unique(tags.values[inside][integrated[tags.indices[inside]]])
-    present = np.unique(concatenate_ranks(domain.comm, present))
+    present = np.unique(concatenate_ranks(domain.comm, np.unique(present)))
     missing = np.setdiff1d(ids, present)
     if missing.size:
         on = "cell" if which.endswith("dx") else "facet of the mesh's boundary"
@@ -239,37 +239,6 @@ def _check_used(domain: Mesh, tags: Any, integrated: Mask, ids: list[int], which
             f"{which}({missing[0]}), but tag {missing[0]} is on no {on}; the tags there are "
             f"{present.tolist()}"
         )
-
-
-def _dense_tags(tags: Any, size: int, ids: list[int]) -> Numbers:
-    """Return the tag of each entity, where it is one of the ids."""
-    dense = np.full(size, _NO_TAG)
-    if tags is not None:
-        listed = np.isin(tags.values, ids) & (tags.indices < size)
-        dense[tags.indices[listed]] = tags.values[listed]
-    return dense
-
-
-def _tag_everywhere(
-    form: ufl.Form, kind: str, ids: list[int], tags: Numbers
-) -> tuple[ufl.Form, list[int], Numbers]:
-    """Replace "everywhere" in integrals of one kind by all tags in use and one for the rest.
-
-    "Everywhere" would include cells of other parts and, in some versions of dolfinx, facets between
-    ranks. Return the form, its tags, and the tag of each entity where it is one of them.
-    """
-    untagged = max(ids, default=0) + 1
-    everywhere = (*ids, untagged) if ids else untagged
-    integrals = []
-    for integral in form.integrals():
-        if integral.integral_type() == kind and integral.subdomain_id() == "everywhere":
-            integral = integral.reconstruct(subdomain_id=everywhere)
-        integrals.append(integral)
-    form = ufl.Form(integrals)
-    ids_of_form = _tagged_ids(form, kind)
-    if untagged in ids_of_form:
-        tags = np.where(tags == _NO_TAG, untagged, tags)
-    return form, ids_of_form, tags
 
 
 def _values_of_cells(function: Function, cells: Indices | slice = slice(None)) -> Vector:
