@@ -118,21 +118,16 @@ def self_test(comm: MPI.Intracomm) -> tuple[float, int, float]:
     import ufl
     from dolfinx import fem
 
-    from fenics_tfeti import ContactPair, ContactProblem
+    from fenics_tfeti import ContactProblem
     from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
     from fenics_tfeti.models import isotropic, symmetry_plane
 
     begin = time.perf_counter()
     solids = [Box((0, 0, 0), (1, 1, 1), (5, 5, 3)), Box((0, 0, 1), (1, 1, 2), (4, 4, 3))]
     blocks = boxes(comm, solids, "hexahedron")
-    lower, upper, top, sides = 1, 2, 3, (4, 5, 6)  # the sides are on the planes of coordinates
-    markers: list[Any] = [
-        (lower, lambda x: np.isclose(x[2], 1), 1),
-        (upper, lambda x: np.isclose(x[2], 1), 2),
-        (top, lambda x: np.isclose(x[2], 2)),
-    ]
-    markers += [(side, lambda x, k=axis: np.isclose(x[k], 0)) for axis, side in enumerate(sides)]
-    facet_tags = tag_facets(blocks.mesh, markers, blocks.cell_tags)
+    top, sides = 3, range(3)  # the sides are on the planes of coordinates
+    markers: dict[int, Any] = {k: lambda x, k=k: np.isclose(x[k], 0) for k in sides}
+    facet_tags = tag_facets(blocks.mesh, {**markers, top: lambda x: np.isclose(x[2], 2)})
     V = displacement_space(blocks.mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     pressure = 1e-3
@@ -140,8 +135,8 @@ def self_test(comm: MPI.Intracomm) -> tuple[float, int, float]:
     problem = ContactProblem(
         ufl.inner(isotropic(2.0, 0.25)(u), ufl.grad(v)) * ufl.dx,
         -fem.Constant(blocks.mesh, pressure) * v[2] * ds(top),
-        bcs=[symmetry_plane(V, facet_tags, side, axis) for axis, side in enumerate(sides)],
-        contacts=[ContactPair(facet_tags, slave=upper, master=lower)],
+        bcs=[symmetry_plane(V, facet_tags, tag=axis, axis=axis) for axis in sides],
+        contacts="auto",
         cell_tags=blocks.cell_tags,
         options={"rtol": 1e-9, "subdomain_size": 200},
     )

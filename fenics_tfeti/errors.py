@@ -46,7 +46,16 @@ class UnstableTangent(ContactError, RuntimeError):
     """The glued tangent is not positive: near buckling, or where only contact holds a body."""
 
 
-class NotConverged(ContactError, RuntimeError):
+class _WithIterate(BaseException):
+    """An error that has the last iterate of a solve, and its report."""
+
+    def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
+        self.report = report
+
+
+class NotConverged(_WithIterate, ContactError, RuntimeError):
     """The iterations stopped at a limit before the requested accuracy was certified.
 
     Attributes
@@ -64,13 +73,8 @@ class NotConverged(ContactError, RuntimeError):
     ...     print(error.report, error.solution)  # the last iterate
     """
 
-    def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:
-        super().__init__(message)
-        self.solution = solution
-        self.report = report
 
-
-class Interrupted(KeyboardInterrupt):
+class Interrupted(_WithIterate, KeyboardInterrupt):
     """Ctrl-C, or SIGINT to a rank, has ended a solve on all ranks.
 
     Not a `ContactError`: a script that goes on after those still ends.
@@ -82,11 +86,6 @@ class Interrupted(KeyboardInterrupt):
     report : object
         The report of the solve, with the ``reason``; None if there was no iterate.
     """
-
-    def __init__(self, message: str, solution: Any = None, report: Any = None) -> None:
-        super().__init__(message)
-        self.solution = solution
-        self.report = report
 
 
 def wrong_type(name: str, value: Any, expected: str) -> InputError:

@@ -65,7 +65,7 @@ class CellGradients:
         """Return the smallest det(I + grad u) at nodes of cells, and where it is. Collective."""
         smallest, place = np.inf, ""
         for batch in self._over_cells(self._at_nodes, u):
-            ratios = np.linalg.det(np.eye(u.shape[1]) + batch.fields[0])
+            ratios = determinants(np.transpose(np.eye(u.shape[1]) + batch.fields[0], (2, 3, 0, 1)))
             cell, point = np.unravel_index(np.argmin(ratios), ratios.shape)
             if ratios[cell, point] < smallest:
                 smallest = float(ratios[cell, point])
@@ -105,13 +105,19 @@ def _inverse(A: Vector) -> tuple[Vector, Vector]:
     if len(A) == 2:
         adjugate = np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]])
     else:
-        # columns of the inverse are cross products of rows
-        after, last = np.roll(A, -1, axis=0), np.roll(A, -2, axis=0)
-        adjugate = np.swapaxes(
-            np.roll(after, -1, axis=1) * np.roll(last, -2, axis=1)
-            - np.roll(after, -2, axis=1) * np.roll(last, -1, axis=1),
-            0,
-            1,
-        )
+        adjugate = np.array([[_cofactor(A, i, j) for i in range(3)] for j in range(3)])
     determinant = np.sum(A[0] * adjugate[:, 0], axis=0)
     return adjugate / determinant, determinant
+
+
+def determinants(A: Vector) -> Vector:
+    """Return the determinants (...) of matrices (d, d, ...), d = 2 or 3, of all at once."""
+    if len(A) == 2:
+        return np.asarray(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
+    return np.asarray(sum(A[0, j] * _cofactor(A, 0, j) for j in range(3)))
+
+
+def _cofactor(A: Vector, i: int, j: int) -> Vector:
+    """Return cofactors of (3, 3, ...) matrices; the other rows and columns follow in a circle."""
+    cofactor: Vector = A[i - 2, j - 2] * A[i - 1, j - 1] - A[i - 2, j - 1] * A[i - 1, j - 2]
+    return cofactor

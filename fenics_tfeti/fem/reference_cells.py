@@ -7,7 +7,7 @@ hexahedra in tensor-product order, vertex x + 2 y + 4 z at the point (x, y, z).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -57,7 +57,11 @@ class ReferenceCell:
         First come the corners, one after the other around the facet, then the midpoints of the
         edges from each to the next, then that of a quadrilateral.
         """
-        return self._facet_nodes[degree - 1]
+        order = self.facet.cycle
+        cycles = tuple(tuple(facet[k] for k in order) for facet in self.facets)
+        if degree == 1:
+            return cycles
+        return tuple(self._with_midpoints(cycle, k) for k, cycle in enumerate(cycles))
 
     @property
     def midpoints(self) -> tuple[Vertices, ...]:
@@ -66,12 +70,6 @@ class ReferenceCell:
             return self.edges
         faces = self.facets if self.dim == 3 else ()
         return (*self.edges, *faces, tuple(range(self.vertices)))
-
-    @cached_property
-    def _facet_nodes(self) -> tuple[tuple[Vertices, ...], tuple[Vertices, ...]]:
-        order = self.facet.cycle
-        linear = tuple(tuple(facet[k] for k in order) for facet in self.facets)
-        return linear, tuple(self._with_midpoints(cycle, k) for k, cycle in enumerate(linear))
 
     @property
     def cycle(self) -> Vertices:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -16,10 +15,11 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.gradients import determinants
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.reference_cells import ReferenceCell, lagrange_points, shape_gradients
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import batches, cell_facets, cell_type, cell_vertices
+from fenics_tfeti.fem.topology import batches, cell_facets, cell_type
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -42,7 +42,7 @@ class CellGeometry:
     x: Vector  # (gdim, n) coordinates of the nodes [m]
     midpoint: Vector  # (gdim, m) means of the corners [m]
     size: Vector  # twice the largest distance of a corner from the midpoint [m]
-    # least and largest det J at corners and midpoint, and that at the midpoint [m^gdim]
+    # least and largest det J at nodes and midpoint, and that at the midpoint [m^gdim]
     lowest: Vector
     highest: Vector
     volume: Vector
@@ -51,21 +51,26 @@ class CellGeometry:
     def of(domain: Mesh, bodies: Bodies) -> CellGeometry:
         """Measure the cells of a mesh."""
         body = bodies.of_cell
-        type_, nodes = cell_type(domain), cell_vertices(domain)[: body.size]
+        type_, nodes = cell_type(domain), _compat.geometry_cells(domain)[: body.size]
+        degree = _compat.geometry_degree(domain)
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        points = lagrange_points(type_.name, 1)
-        # in simplices the determinant is constant
-        points = np.vstack([points[: 0 if type_.is_simplex else None], points.mean(axis=0)])
+        points = lagrange_points(type_.name, degree)
+        # in simplices of degree 1 the determinant is constant
+        constant = type_.is_simplex and degree == 1
+        points = np.vstack([points[: 0 if constant else None], points.mean(axis=0)])
+        gradients = shape_gradients(type_.name, degree, points)
         for batch in batches(body.size, _CELLS):
-            corners = x[:, nodes[batch].T]
+            places = x[:, nodes[batch].T]
+            corners = places[:, : type_.vertices]
             midpoint[:, batch] = corners.mean(axis=1)
             spokes = corners - midpoint[:, None, batch]
             size[batch] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
-            values = _determinants(type_, 1, points, corners)
+            values = determinants(np.array([D @ places for D in gradients]))
             volume[batch] = values[-1]
             lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
+        nodes = nodes[:, : type_.vertices]
         return CellGeometry(
             domain, bodies, type_, nodes, x, midpoint, size, lowest, highest, volume
         )
@@ -124,55 +129,24 @@ def _check_shapes(cells: CellGeometry) -> None:
     """
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
-    cells.raise_for(
-        (cells.lowest < -scale) & (cells.highest > scale),
-        "twisted cells, in which the determinant of the Jacobian changes its sign",
-        "Check that their vertices are in the order of dolfinx (those of a quadrilateral row by "
-        "row, not around it); otherwise mesh there again",
+    curved = _compat.geometry_degree(cells.domain) == 2
+    kind = "curved cells that are folded:" if curved else "twisted cells, in which"
+    sign = f"{kind} the determinant of the Jacobian changes its sign"
+    remedy = (
+        "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')"
+        if curved
+        else "Check that their vertices are in the order of dolfinx (those of a quadrilateral row "
+        "by row, not around it); otherwise mesh there again"
     )
+    cells.raise_for((cells.lowest < -scale) & (cells.highest > scale), sign, remedy)
     what = "volume (det J / size^3" if dim == 3 else "area (det J / size^2"
     cells.raise_for(
         np.abs(cells.volume) <= scale,
         f"cells without {what} is below {FLAT_CELL:g})",
         "Mesh there again, or remove these cells",
     )
-    if _compat.geometry_degree(cells.domain) == 2:
-        lowest, highest = _range_in_curved_cells(cells)
-        cells.raise_for(
-            (lowest < scale) & (highest > -scale),
-            "curved cells that are folded: the determinant of the Jacobian changes its sign",
-            "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')",
-        )
-
-
-def _range_in_curved_cells(cells: CellGeometry) -> tuple[Vector, Vector]:
-    """Return the smallest and the largest det J (m,) at the nodes of cells of degree 2."""
-    nodes = _compat.geometry_cells(cells.domain)
-    points = lagrange_points(cells.type.name, 2)
-    lowest, highest = np.empty((2, cells.body.size))
-    for batch in batches(cells.body.size, _CELLS):
-        values = _determinants(cells.type, 2, points, cells.x[:, nodes[batch].T])
-        lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
-    return lowest, highest
-
-
-def _determinants(cell: ReferenceCell, degree: int, points: Vector, x: Vector) -> Vector:
-    """Return det J (p, k) at points (p, dim) of cells with nodes (gdim, n, k) of degree 1 or 2."""
-    return _determinant([D @ x for D in shape_gradients(cell.name, degree, points)])
-
-
-def _determinant(columns: Sequence[Vector]) -> Vector:
-    """Return the determinants (...) of matrices given by their columns (dim, ...)."""
-    a, b = columns[0], columns[1]
-    if len(columns) == 2:
-        return np.asarray(a[0] * b[1] - a[1] * b[0])
-    c = columns[2]
-    volume: Vector = (
-        (a[0] * b[1] - a[1] * b[0]) * c[2]
-        + (a[1] * b[2] - a[2] * b[1]) * c[0]
-        + (a[2] * b[0] - a[0] * b[2]) * c[1]
-    )
-    return volume
+    if curved:
+        cells.raise_for((cells.lowest < scale) & (cells.highest > -scale), sign, remedy)
 
 
 # -- neighbours --------------------------------------------------------------------------------

@@ -7,8 +7,7 @@ gathered, so that all ranks raise the same error with the totals and the same fi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from itertools import product
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -27,7 +26,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.fem.topology import exterior_cell_facets, global_numbers
-from fenics_tfeti.parallel import Directory, concatenate_ranks
+from fenics_tfeti.parallel import Directory, concatenate_ranks, send_rows
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -47,30 +46,19 @@ class _SurfaceNodes:
         """Return some of the rows."""
         return _SurfaceNodes(*(column[rows] for column in vars(self).values()))
 
-    def merged(self) -> _SurfaceNodes:
-        """Return one row for each pair of node and body."""
-        order = np.lexsort((self.number, self.body))
-        body, number = self.body[order], self.number[order]
-        starts = np.ones(order.size, dtype=bool)
-        starts[1:] = (np.diff(body) != 0) | (np.diff(number) != 0)
-        (begin,) = np.nonzero(starts)
-        if begin.size == 0:
-            return self
-        return replace(
-            self[order[begin]],
-            size=np.minimum.reduceat(self.size[order], begin),
-            slave=np.logical_or.reduceat(self.slave[order], begin),
-            master=np.logical_or.reduceat(self.master[order], begin),
-        )
-
 
 def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _SurfaceNodes:
     """Return the nodes of the exterior facets of this rank's cells; pairs and bolts mark them."""
     domain = cells.domain
     cell, facet = np.nonzero(exterior_cell_facets(domain))
     nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
-    per_facet = nodes.shape[1]
-    local = nodes.ravel()
+    local, body = nodes.ravel(), np.repeat(cells.body[cell], nodes.shape[1])
+    _, first, row = np.unique(
+        body * len(domain.geometry.x) + local, return_index=True, return_inverse=True
+    )
+    size = np.full(first.size, np.inf)
+    np.minimum.at(size, row, np.repeat(cells.shortest_edges(cell), nodes.shape[1]))
+    local = local[first]
     slave, master = _contact_nodes(domain, contacts)
     # dolfinx 0.5 numbers a node anew on ranks whose cells meet there without a common facet;
     # the numbers in the input of the mesh are unique
@@ -78,12 +66,12 @@ def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _S
     return _SurfaceNodes(
         numbers[local],
         domain.geometry.x[local, : domain.geometry.dim],
-        np.repeat(cells.body[cell], per_facet),
-        np.repeat(cells.shortest_edges(cell), per_facet),
+        body[first],
+        size,
         slave[local],
         master[local],
         global_numbers(domain.geometry.index_map(), local),
-    ).merged()
+    )
 
 
 def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mask, Mask]:
@@ -224,9 +212,9 @@ def _coincident_pairs(
     """
     comm, gdim = domain.comm, domain.geometry.dim
     reach = SAME_PLACE * comm.allreduce(float(nodes.size.max(initial=0.0)), MPI.MAX)
-    keys, rows = _bins(comm, nodes.x, reach)
+    rows, ranks = _slabs(comm, nodes.x, reach)
     data = (*vars(nodes).values(), group)
-    *columns, group = Directory(comm, np.unique(keys)).collect(keys, *(d[rows] for d in data))[1:]
+    *columns, group = send_rows(comm, ranks, *(column[rows] for column in data))
     candidates = _SurfaceNodes(*columns)
     pairs = np.zeros((0, 2), dtype=np.int64)
     if group.size:
@@ -236,15 +224,12 @@ def _coincident_pairs(
     a, b = candidates[pairs[:, 0]], candidates[pairs[:, 1]]
     distance = np.linalg.norm(a.x - b.x, axis=1)
     wrong = (a.number != b.number) & (distance <= SAME_PLACE * np.minimum(a.size, b.size))
-    slave, master = (
-        _marked_anywhere(candidates, candidates.slave),
-        _marked_anywhere(candidates, candidates.master),
-    )
+    slave, master = (_marked_anywhere(candidates, m) for m in (candidates.slave, candidates.master))
     first, second = pairs.T
     wrong &= ~((slave[first] & master[second]) | (master[first] & slave[second]))
     numbers = np.sort(np.stack([a.number, b.number], axis=1)[wrong], axis=1)
     gathered = [concatenate_ranks(comm, column) for column in (numbers, a.x[wrong], a.body[wrong])]
-    # a pair near the border of bins is found in each of them
+    # a pair near the border of slabs is found in both
     distinct = np.unique(gathered[0], axis=0, return_index=True)[1]
     return gathered[1][distinct].reshape(-1, gdim), gathered[2][distinct]
 
@@ -257,28 +242,20 @@ def _marked_anywhere(nodes: _SurfaceNodes, mark: Mask) -> Mask:
     return marked[position]
 
 
-def _bins(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
-    """Sort points into cubic bins, by which they are distributed over the ranks.
+def _slabs(comm: MPI.Intracomm, x: Vector, reach: float) -> tuple[Numbers, Numbers]:
+    """Cut the mesh into a slab for each rank, across its longest axis.
 
-    Return the key of a bin and the row of a point, for each bin that the point is in or within
-    `reach` of; some twice.
+    Return rows of points and the rank of the slab that each is in or within `reach` of: both of two
+    for some.
     """
-    bins_along_mesh = 64
-    number_of_keys = 2**20
     low, high = x.min(axis=0, initial=np.inf), x.max(axis=0, initial=-np.inf)
     comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
-    width = max(float(np.max(high - low)) / bins_along_mesh, 4.0 * reach, np.finfo(float).tiny)
-    # a hash with large primes spreads the keys evenly, for any shape of the mesh
-    primes = np.array([73856093, 19349663, 83492791])[: x.shape[1]]
-    ends = [
-        np.floor((x + step - low) / width).astype(np.int64) * primes for step in (-reach, reach)
-    ]
-    # of the corners of a cube around each point; nearly all cubes are in one bin
-    first, *others = (
-        sum(ends[end][:, axis] for axis, end in enumerate(ends_of_corner)) % number_of_keys
-        for ends_of_corner in product((0, 1), repeat=x.shape[1])
+    axis = int(np.argmax(high - low))
+    width = max((high - low)[axis] / comm.size, 2.0 * reach, np.finfo(float).tiny)
+    first, second = (
+        np.clip((x[:, axis] + step - low[axis]) // width, 0, comm.size - 1).astype(np.int64)
+        for step in (-reach, reach)
     )
-    rows = [np.arange(len(x)), *(np.flatnonzero(corner != first) for corner in others)]
-    corners = zip((first, *others), rows, strict=True)
-    return np.concatenate([corner[row] for corner, row in corners]), np.concatenate(rows)
+    (both,) = np.nonzero(first != second)
+    return np.append(np.arange(len(x)), both), np.append(first, second[both])

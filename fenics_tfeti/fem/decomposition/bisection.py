@@ -106,7 +106,9 @@ def _neighbours(graph: sp.csr_matrix) -> Indices:
 def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:
     """Return connected pieces; small ones join the piece with which they have most facets."""
     number, piece = components(graph, label)
-    facets = _common_facets(graph, piece, number)
+    of_piece = sp.csr_matrix((np.ones(piece.size), piece, np.arange(piece.size + 1)))
+    facets = (of_piece.T @ graph @ of_piece).tocsr()  # common ones of any two pieces
+    facets.sort_indices()
     joined, size = np.arange(number), np.bincount(piece)
     for small in np.argsort(size, kind="stable"):
         target = joined[small]
@@ -121,12 +123,3 @@ def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:
             joined[joined == target] = best
     part: Numbers = np.unique(joined, return_inverse=True)[1][piece]
     return part
-
-
-def _common_facets(graph: sp.csr_matrix, piece: Numbers, number: int) -> sp.csr_matrix:
-    """Return the number of facets between any two pieces."""
-    edges = graph.tocoo()
-    ends = piece[edges.row], piece[edges.col]
-    apart = ends[0] != ends[1]
-    pairs = ends[0][apart], ends[1][apart]
-    return sp.csr_matrix((np.ones(pairs[0].size), pairs), shape=(number, number))
