@@ -296,7 +296,7 @@ class CompiledForm:
 
     - 0.5.2 compiles with ``jit.ffcx_jit``, 0.9 to 0.11 with ``fem.compile_form``.
 
-    Integrals name their tags: none is over "everywhere". Rank 0 compiles, then the others load.
+    Rank 0 compiles, then the others load.
     """
 
     def __init__(
@@ -319,6 +319,8 @@ class CompiledForm:
     @property
     def integrals(self) -> list[tuple[str, int, Any]]:
         """Kind ("cell" or "exterior_facet"), tag and compiled kernel of each integral.
+
+        The tag of integrals over "everywhere" is -1; those over tags come in addition.
 
         - 0.5.2 has functions ``integrals``, ``integral_ids`` and ``num_integrals`` of the kind;
         - 0.9 to 0.11 have arrays of all kinds, with offsets.
@@ -419,30 +421,9 @@ def _to_one_process(comm: MPI.Comm, size: int, dim: int, cells: Any, ghost_mode:
     return cpp.graph.AdjacencyList_int32(np.zeros((cells.num_nodes, 1), dtype=np.int32))
 
 
-def gmsh_model_to_mesh(model: Any, comm: MPI.Comm, gdim: int) -> tuple[Any, Any, Any]:
-    """Distribute the mesh of the current Gmsh model of rank 0; return mesh, cell and facet tags.
-
-    - 0.5.2 and 0.9 have ``dolfinx.io.gmshio``, which returns (mesh, cell tags, facet tags);
-    - 0.10 and 0.11 have ``dolfinx.io.gmsh``, which returns an object with these attributes, and
-      None for facet tags where no facet is tagged;
-    - 0.5.2 returns tags of C++, which cannot have attributes of Python: cell tags are made anew.
-    """
-    try:
-        from dolfinx.io import gmsh as reader
-    except ImportError:
-        from dolfinx.io import gmshio as reader
-    with quiet_compiler():
-        result = reader.model_to_mesh(model, comm, 0, gdim=gdim)
-    domain, cell_tags, facet_tags = (
-        (result.mesh, result.cell_tags, result.facet_tags)
-        if hasattr(result, "facet_tags")
-        else result[:3]
-    )
-    if facet_tags is None:
-        none = np.empty(0, dtype=np.int32)
-        facet_tags = mesh.meshtags(domain, domain.topology.dim - 1, none, none)
-    dim, indices, values = cell_tags.dim, cell_tags.indices, cell_tags.values
-    return domain, mesh.meshtags(domain, dim, indices, values), facet_tags
+def gmsh_order(cell: str, nodes: int) -> Array:
+    """Return for each node of a cell in the order of dolfinx its place in that of Gmsh."""
+    return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
 
 
 def entity_nodes(domain: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Indices:

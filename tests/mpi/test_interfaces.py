@@ -19,8 +19,9 @@ from joined_bodies import (
 
 from fenics_tfeti import ContactPair, ContactProblem, InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
-from fenics_tfeti.io import Interface, read_msh, split_interfaces
+from fenics_tfeti.io import Interface, displacement_space, read_msh, split_interfaces
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
@@ -85,6 +86,18 @@ def test_nodes_are_joined_alike():
         rows = np.column_stack([np.round(x[first], 9), cells])
         counts.append(rows[np.lexsort(rows.T)])
     np.testing.assert_allclose(*counts, atol=1e-8)
+
+
+def test_nodes_have_the_numbers_of_one_rank():
+    """Those by which a checkpoint is read on any number of ranks."""
+    rows = []
+    for comm in (COMM, MPI.COMM_SELF):
+        mesh = split_interfaces(block("tetrahedron", halves, comm), [Interface(1, 2, 5, 6)]).mesh
+        nodes = NodeMap(displacement_space(mesh))
+        columns = np.column_stack([nodes.input_numbers, nodes.coordinates])
+        whole = concatenate_ranks(comm, columns)
+        rows.append(whole[np.argsort(whole[:, 0])])
+    np.testing.assert_allclose(*rows, atol=1e-12)
 
 
 def test_contact_after_the_split():

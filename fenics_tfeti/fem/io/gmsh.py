@@ -7,22 +7,28 @@ import os
 import signal
 import threading
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
-from fenics_tfeti.fem.reference_cells import MESH_CELLS
-from fenics_tfeti.fem.topology import with_body_names
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.fem.io.interfaces import Interface, open_interfaces
+from fenics_tfeti.fem.io.tagged_mesh import (
+    TaggedMesh,
+    WholeMesh,
+    distribute,
+    number_rows,
+    tags_by_corners,
+)
+from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
+from fenics_tfeti.parallel import positions, raise_collectively
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 _log = logging.getLogger(__name__)
 
@@ -34,7 +40,7 @@ _UNUSED_OPTION = "PostProcessing.DoubleClickedGraphPointX"
 
 def read_msh(
     path: str | os.PathLike[str],
-    comm: MPI.Comm = MPI.COMM_WORLD,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
     gdim: int = 3,
     split: Sequence[Interface] = (),
 ) -> TaggedMesh:
@@ -78,59 +84,92 @@ def read_msh(
     >>> beams = read_msh("meshes/two_beams.msh")  # doctest: +SKIP
     >>> beams.facet_tags.find(beams.names["clamped"])  # doctest: +SKIP
     """
-    path = Path(path)
+    path, whole = Path(path), None
     with raise_collectively(comm):
         gmsh = _import_gmsh()
-    with ExitStack() as session:
-        names: dict[str, int] = {}
-        bodies: dict[int, str] = {}
-        tagged_facets = 0
-        with raise_collectively(comm):
-            if comm.rank == 0:
-                session.enter_context(_opened_file(gmsh, path))
-                names, bodies, tagged_facets = _prepare(gmsh.model, path, gdim)
-        names, bodies, tagged_facets = comm.bcast((names, bodies, tagged_facets))
-        mesh, cell_tags, facet_tags = _compat.gmsh_model_to_mesh(gmsh.model, comm, gdim)
-
-    mesh.topology.create_connectivity(gdim - 1, gdim)
-    owned = mesh.topology.index_map(gdim - 1).size_local
-    received = comm.allreduce(int(np.count_nonzero(facet_tags.indices < owned)))
-    if received != tagged_facets:
-        raise _not_facets(path, tagged_facets - received, tagged_facets, gdim - 1)
-    tagged = TaggedMesh(mesh, with_body_names(cell_tags, bodies), facet_tags, names)
-    return split_interfaces(tagged, split) if split else tagged
+    with raise_collectively(comm):
+        if comm.rank == 0:
+            with _opened_file(gmsh, path):
+                whole = _whole_mesh(gmsh.model, path, gdim)
+            whole = open_interfaces(whole, split) if split else whole
+    return distribute(comm, whole)
 
 
-def _prepare(model: Any, path: Path, gdim: int) -> tuple[dict[str, int], dict[int, str], int]:
-    """Check what dolfinx requires; its own errors, on rank 0 alone, would leave ranks waiting.
+@dataclass(frozen=True)
+class _Group:
+    """The elements of a physical group."""
 
-    Return name -> tag of the physical groups, tag -> name of those of cells, and the number of
-    tagged facets.
-    """
+    tag: int
+    name: str
+    numbers: Array  # (m,)
+    nodes: Array  # (m, n) in Gmsh's order
+
+
+def _whole_mesh(model: Any, path: Path, gdim: int) -> WholeMesh:
+    """Return the mesh of a model, checked, with the numbers of physical groups as tags."""
     dimension = max((d for d in range(4) if len(model.mesh.getElementTypes(d))), default=0)
     if dimension == 0:
         raise InputError(f"{path} has no cells; was it damaged, or saved before meshing?")
     _check_dimension(model, path, dimension, gdim)
-    types = {_cell_type(model, element) for element in model.mesh.getElementTypes(dimension)}
+    elements = [model.mesh.getElementProperties(e) for e in model.mesh.getElementTypes(dimension)]
+    # Gmsh's names are such as "Hexahedron 8"
+    types = {str(name).split()[0].lower() for name, *_ in elements}
     if len(types) > 1 or not types <= set(MESH_CELLS):
         raise InputError(
             f"{path} has cells of the types {', '.join(sorted(types))}; supported are meshes of "
             f"one type out of {', '.join(MESH_CELLS)}"
         )
-    cells, facets = (
-        [(d, tag) for d, tag in model.getPhysicalGroups() if d == dimension - codim]
-        for codim in (0, 1)
+    (cell,), (name, _, degree, size, *_) = types, elements[0]
+    if degree > 2 or size != reference_cell(cell).nodes(degree):
+        raise InputError(
+            f"{path} has cells of the type {name}; supported are those of degree 1 and 2 (setOrder "
+            "in Gmsh) with nodes on faces and in cells too (Mesh.SecondOrderIncomplete = 0)"
+        )
+    bodies, surfaces = _groups(model, path, dimension), _groups(model, path, dimension - 1)
+    _check_cell_groups(model, bodies, path, dimension)
+    used, nodes = np.unique(np.concatenate([g.nodes for g in bodies]), return_inverse=True)
+    nodes = nodes.reshape(-1, bodies[0].nodes.shape[1])
+    numbers, x, _ = model.mesh.getNodes()
+    order = np.argsort(numbers)
+    x = x.reshape(-1, 3)[order]
+    row = positions(numbers[order].astype(np.int64), used.astype(np.int64))
+    _check_cells(path, nodes, x[row])
+    if row.size < len(x):
+        # such as centres of circles, which Gmsh saves if its option Mesh.SaveAll is set
+        first = format_point(np.delete(x, row, axis=0)[0])
+        _log.warning("%s: left out %d nodes of no cell, one at %s", path, len(x) - row.size, first)
+    nodes = nodes[:, _compat.gmsh_order(cell, nodes.shape[1])]
+    return WholeMesh(
+        cell,
+        degree,
+        nodes,
+        x[row, :gdim],
+        np.repeat([g.tag for g in bodies], [len(g.nodes) for g in bodies]),
+        _facet_tags(path, cell, nodes, surfaces, used),
+        _names(path, bodies + surfaces),
+        {g.tag: g.name for g in bodies if g.name},
     )
-    _check_cell_groups(model, cells, path, dimension)
-    _check_cell_nodes(model, path, dimension)
-    tagged_facets = _check_facet_groups(model, facets, path, dimension - 1)
-    if len(model.getPhysicalGroups()) > len(cells + facets):
-        _keep_groups(model, cells + facets)
-    nodes = model.mesh.getNodes()[0]
-    if len(nodes) != nodes.max():
-        model.mesh.renumberNodes()  # dolfinx requires numbers without gaps
-    bodies = {tag: name for d, tag in cells if (name := model.getPhysicalName(d, tag))}
-    return _names(model, cells + facets, path), bodies, tagged_facets
+
+
+def _groups(model: Any, path: Path, dim: int) -> list[_Group]:
+    """Return the physical groups of a dimension."""
+    groups = []
+    for _, tag in model.getPhysicalGroups(dim):
+        numbers, nodes = [], []
+        for entity in model.getEntitiesForPhysicalGroup(dim, tag):
+            types, elements, rows = model.mesh.getElements(dim, entity)
+            if len(types) != 1:
+                raise InputError(
+                    f"{path}: {_ENTITY[dim]} {entity} of physical group {tag} has elements of "
+                    f"{len(types)} types, not of one; mesh it, or remove it from the group"
+                )
+            numbers.append(elements[0])
+            nodes.append(rows[0].reshape(len(elements[0]), -1))
+        if len({rows.shape[1] for rows in nodes}) > 1:
+            raise InputError(f"{path}: the facets are of different types; use cells of one type")
+        name = model.getPhysicalName(dim, tag)
+        groups.append(_Group(tag, name, np.concatenate(numbers), np.concatenate(nodes)))
+    return groups
 
 
 def _check_dimension(model: Any, path: Path, dimension: int, gdim: int) -> None:
@@ -153,13 +192,12 @@ def _check_dimension(model: Any, path: Path, dimension: int, gdim: int) -> None:
     )
 
 
-def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
-    """Check that no cell is there twice or has a node twice; warn about nodes of no cell."""
-    types, _, rows = model.mesh.getElements(dim)
-    cells = np.sort(rows[0].reshape(-1, model.mesh.getElementProperties(types[0])[3]), axis=1)
+def _check_cells(path: Path, nodes: Numbers, x: Vector) -> None:
+    """Check that no cell is there twice or has a node twice."""
+    cells = np.sort(nodes, axis=1)
 
-    def describe(wrong: NDArray[Any]) -> str:
-        first = format_point(np.mean([model.mesh.getNode(n)[0] for n in cells[wrong[0]]], axis=0))
+    def describe(wrong: Numbers) -> str:
+        first = format_point(x[cells[wrong[0]]].mean(axis=0))
         return f"{len(wrong)} of {len(cells)}, the first around {first}"
 
     collapsed = np.flatnonzero(np.any(cells[:, 1:] == cells[:, :-1], axis=1))
@@ -168,21 +206,16 @@ def _check_cell_nodes(model: Any, path: Path, dim: int) -> None:
             f"{path} has cells with the same node twice: {describe(collapsed)}; mesh there again, "
             "without collapsed cells"
         )
-    distinct = np.unique(cells, axis=0, return_index=True)[1]
+    distinct = np.unique(number_rows(cells), return_index=True)[1]
     repeated = np.setdiff1d(np.arange(len(cells)), distinct)
     if len(repeated):
         raise InputError(
             f"{path} has several cells with the same nodes: {describe(repeated)}; remove the "
             "copies (removeDuplicateElements in Gmsh)"
         )
-    unused = np.setdiff1d(model.mesh.getNodes()[0], cells)
-    if len(unused):
-        # such as centres of circles, which Gmsh saves if its option Mesh.SaveAll is set
-        first = format_point(model.mesh.getNode(unused[0])[0])
-        _log.warning("%s: left out %d nodes of no cell, one at %s", path, len(unused), first)
 
 
-def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> None:
+def _check_cell_groups(model: Any, groups: Sequence[_Group], path: Path, dim: int) -> None:
     """Check that each cell is in exactly one physical group."""
     kind = _ENTITY[dim]
     if not groups:
@@ -190,13 +223,12 @@ def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, di
             f"{path} has no physical {kind} group; give each body one (addPhysicalGroup({dim}, "
             f"...) or 'Physical {kind.capitalize()}' in Gmsh) and save the mesh again"
         )
-    parts = [np.concatenate(_elements(model, *group, path)[0]) for group in groups]
-    grouped = np.concatenate(parts)
-    every = np.concatenate(model.mesh.getElements(dim)[1])
-    if names := _groups_in_common(model, groups, parts):
+    grouped = np.concatenate([group.numbers for group in groups])
+    if names := _groups_in_common(groups, grouped):
         raise InputError(
             f"{path}: a cell is in several physical {kind} groups, {names}; it must be in one"
         )
+    every = np.concatenate(model.mesh.getElements(dim)[1])
     if len(grouped) != len(every):
         raise InputError(
             f"{path}: {len(every) - len(grouped)} of {len(every)} cells are in no physical {kind} "
@@ -204,86 +236,46 @@ def _check_cell_groups(model: Any, groups: list[tuple[int, int]], path: Path, di
         )
 
 
-def _check_facet_groups(model: Any, groups: list[tuple[int, int]], path: Path, dim: int) -> int:
-    """Check that no facet is in two physical groups; return the number of facets in groups."""
-    nodes = [_elements(model, *group, path)[1] for group in groups]
-    if not nodes:
-        return 0
-    if len({rows.shape[1] for entities in nodes for rows in entities}) > 1:
-        raise InputError(f"{path}: the facets are of different types; use cells of one type")
-    parts = [np.sort(np.concatenate(entities), axis=1) for entities in nodes]
-    facets = np.concatenate(parts)
-    if names := _groups_in_common(model, groups, parts):
+def _facet_tags(
+    path: Path, cell: str, nodes: Numbers, groups: Sequence[_Group], used: Array
+) -> Numbers:
+    """Return the tags of the facets (m, f) of cells; `used` are Gmsh's numbers of their nodes."""
+    kind = reference_cell(cell)
+    corners = [g.nodes[:, : kind.facet.vertices].astype(np.int64) for g in groups]
+    facets = np.concatenate([np.zeros((0, kind.facet.vertices), dtype=np.int64), *corners])
+    entity = _ENTITY[kind.dim - 1]
+    if names := _groups_in_common(groups, number_rows(np.sort(facets, axis=1))):
         raise InputError(
-            f"{path}: a facet is in several physical {_ENTITY[dim]} groups, {names}, but can have "
-            "only one tag; split the groups so that they do not overlap"
+            f"{path}: a facet is in several physical {entity} groups, {names}, but can have only "
+            "one tag; split the groups so that they do not overlap"
         )
-    in_cells = np.unique(model.mesh.getElements(dim + 1)[2][0])
-    orphans = np.count_nonzero(~np.isin(facets, in_cells).all(axis=1))
-    if orphans:
-        raise _not_facets(path, orphans, len(facets), dim)
-    return len(facets)
+    tags = np.repeat([g.tag for g in groups], [len(g.nodes) for g in groups])
+    rows = positions(used.astype(np.int64), facets)
+    facet_tag, is_facet = tags_by_corners(cell, nodes, rows, tags)
+    if not is_facet.all():
+        raise InputError(
+            f"{path}: {np.count_nonzero(~is_facet)} of the {len(facets)} elements in the physical "
+            f"{entity} groups are not facets of cells; mesh the {_ENTITY[kind.dim]}s again"
+        )
+    return facet_tag
 
 
-def _not_facets(path: Path, count: int, total: int, dim: int) -> InputError:
-    return InputError(
-        f"{path}: {count} of the {total} elements in the physical {_ENTITY[dim]} groups are not "
-        f"facets of cells; mesh the {_ENTITY[dim + 1]}s again"
-    )
-
-
-def _groups_in_common(model: Any, groups: list[tuple[int, int]], parts: list[Any]) -> str:
-    """Name the groups of the first row that is in `parts` more than once, or return nothing."""
-    _, number, counts = np.unique(
-        np.concatenate(parts), axis=0, return_inverse=True, return_counts=True
-    )
+def _groups_in_common(groups: Sequence[_Group], element: Array) -> str:
+    """Name the groups that the first element is in that is in several, or return nothing."""
+    _, number, counts = np.unique(element, return_inverse=True, return_counts=True)
     if (counts == 1).all():
         return ""
-    group = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    common = group[number.ravel() == counts.argmax()]
-    return " and ".join(f"'{model.getPhysicalName(*groups[i]) or groups[i][1]}'" for i in common)
+    group = np.repeat(np.arange(len(groups)), [len(g.nodes) for g in groups])
+    common = group[number == counts.argmax()]
+    return " and ".join(f"'{groups[i].name or groups[i].tag}'" for i in common)
 
 
-def _elements(model: Any, dim: int, group: int, path: Path) -> tuple[list[Any], list[Any]]:
-    """Return numbers (m,) and nodes (m, v) of the elements of each entity of a physical group."""
-    numbers, nodes = [], []
-    for entity in model.getEntitiesForPhysicalGroup(dim, group):
-        types, tags, rows = model.mesh.getElements(dim, entity)
-        if len(types) != 1:
-            raise InputError(
-                f"{path}: {_ENTITY[dim]} {entity} of physical group {group} has elements of "
-                f"{len(types)} types, not of one; mesh it, or remove it from the group"
-            )
-        numbers.append(tags[0])
-        nodes.append(rows[0].reshape(len(tags[0]), -1))
-    return numbers, nodes
-
-
-def _cell_type(model: Any, element_type: int) -> str:
-    """Return the name in dolfinx of a Gmsh element type, such as "hexahedron"."""
-    # Gmsh's names are such as "Hexahedron 8"
-    return str(model.mesh.getElementProperties(element_type)[0]).split()[0].lower()
-
-
-def _keep_groups(model: Any, groups: list[tuple[int, int]]) -> None:
-    """Remove other physical groups: dolfinx crashes on points and curves that are in no cell."""
-    kept = [
-        (dim, model.getEntitiesForPhysicalGroup(dim, tag), tag, model.getPhysicalName(dim, tag))
-        for dim, tag in groups
-    ]
-    # all at once: Gmsh 4.8 fails to remove single ones that come from a file
-    model.removePhysicalGroups()
-    for dim, entities, tag, name in kept:
-        model.addPhysicalGroup(dim, entities, tag)
-        model.setPhysicalName(dim, tag, name)
-
-
-def _names(model: Any, groups: list[tuple[int, int]], path: Path) -> dict[str, int]:
+def _names(path: Path, groups: Sequence[_Group]) -> dict[str, int]:
     """Return name -> tag, without names of several tags."""
     named: dict[str, set[int]] = {}
-    for dim, tag in groups:
-        if name := model.getPhysicalName(dim, tag):
-            named.setdefault(name, set()).add(tag)
+    for group in groups:
+        if group.name:
+            named.setdefault(group.name, set()).add(group.tag)
     for name in [name for name, tags in named.items() if len(tags) > 1]:
         tags = named.pop(name)
         _log.warning("%s: the groups %s share the name '%s'; use numbers", path, sorted(tags), name)

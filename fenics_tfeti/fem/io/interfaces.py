@@ -10,8 +10,7 @@ three of them meet, and nodes at the tip of a crack, around which all cells are 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -19,25 +18,20 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from dolfinx.mesh import Mesh
-
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_corners
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, sorted_tags
-from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.topology import (
-    body_names,
-    cell_facets,
-    cell_type,
-    global_numbers,
-    owned_cells,
-    with_body_names,
+from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
+from fenics_tfeti.fem.io.tagged_mesh import (
+    TaggedMesh,
+    WholeMesh,
+    distribute,
+    number_rows,
+    tags_by_corners,
 )
-from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
+from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.topology import NO_TAG, body_names, dense_tags, owned_cells
+from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-_UNTAGGED = int(np.iinfo(np.int32).min)
 
 
 @dataclass(frozen=True)
@@ -71,6 +65,8 @@ class Interface:
 def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> TaggedMesh:
     """Give bodies nodes of their own at the interfaces between them. Collective.
 
+    Rank 0 gathers the cells, as many as it reads from a file of Gmsh.
+
     Parameters
     ----------
     tagged : TaggedMesh
@@ -101,50 +97,60 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     >>> parts = split_interfaces(parts, [shank])  # doctest: +SKIP
     >>> ContactPair(parts.facet_tags, slave=11, master=12)  # doctest: +SKIP
     """
-    mesh = tagged.mesh
-    openings, names = _openings(tagged, interfaces)
-    sides = _FacetSides.from_mesh(tagged)
-    opened = _opened_facets(mesh, sides, openings)
-    _check_new_tags(mesh.comm, sides, opened, openings)
-    cells, points = _renumbered(mesh, sides, opened)
-    _check_open(mesh, sides, opened, cells)
+    comm, whole = tagged.mesh.comm, _gather(tagged)
+    with raise_collectively(comm):
+        if whole is not None:
+            whole = open_interfaces(whole, interfaces)
+    return distribute(comm, whole)
 
-    facet_tags = sides.facet_tag.copy()
-    for k, opening in enumerate(openings):
-        cell, facet = np.nonzero(opened == k)
-        if opening.slave == opening.master:
-            on_slave = _on_first_side(mesh, cell, facet, opening)
-        else:
-            on_slave = sides.cell_tag[cell] == opening.slave
-        facet_tags[cell, facet] = np.where(on_slave, opening.slave_tag, opening.master_tag)
-    split = _compat.distributed_mesh(
-        mesh.comm, cells, points, _compat.cell_name(mesh), _compat.geometry_degree(mesh)
+
+def open_interfaces(whole: WholeMesh, interfaces: Sequence[Interface]) -> WholeMesh:
+    """Return the mesh with the interfaces opened."""
+    openings, names = _openings(whole, interfaces)
+    corners = whole.nodes[:, np.array(whole.kind.facets)]
+    facets = number_rows(np.sort(corners, axis=2).reshape(-1, corners.shape[2]))
+    facets = facets.reshape(corners.shape[:2])
+    opened = _opened_facets(whole, facets, openings)
+    facet_tag = _new_facet_tags(whole, opened, openings)
+    nodes, x = _separated(whole, facets, opened)
+    return replace(whole, nodes=nodes, x=x, facet_tag=facet_tag, names=names)
+
+
+# -- the surfaces on rank 0 --------------------------------------------------------------------
+
+
+def _gather(tagged: TaggedMesh) -> WholeMesh | None:
+    """Gather a mesh on rank 0, in the order of its input; the others get None. Collective."""
+    mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
+    geometry = _compat.geometry_cells(mesh)[:owned]
+    # dolfinx 0.5 may number a node that two ranks share twice; the input's numbers are unique
+    numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
+    tagged_facets = _compat.entity_nodes(mesh, mesh.topology.dim - 1, tagged.facet_tags.indices)
+    columns = (
+        _compat.input_cells(mesh),
+        numbers[geometry],
+        mesh.geometry.x[geometry, : mesh.geometry.dim],
+        dense_tags(tagged.cell_tags, owned),
+        numbers[tagged_facets],
+        tagged.facet_tags.values,
     )
-    parts = _with_tags(split, sides.cell_tag, facet_tags, names)
-    with_body_names(parts.cell_tags, body_names(tagged.cell_tags))
-    return parts
-
-
-def _on_first_side(mesh: Mesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:
-    """Tell which cells are below facets of theirs that are nearly in a plane. Collective.
-
-    The plane's normal points upwards: its largest component is positive.
-    """
-    points = mesh.geometry.x[oriented_corners(mesh, cell, facet), : mesh.geometry.dim]
-    normal = corner_normals(points).sum(axis=1)
-    every = concatenate_ranks(mesh.comm, normal)
-    # the squares add up for both sides
-    up = np.linalg.eigh(every.T @ every)[1][:, -1]
-    up = up * np.sign(up[np.argmax(np.abs(up))])
-    cosine = normal @ up / np.linalg.norm(normal, axis=1)
-    if bad := first_wrong(mesh.comm, np.abs(cosine) < 0.5, points.mean(axis=1)):
-        raise InputError(
-            f"{bad.number} of the {opening} are far from the plane of the others, the first around "
-            f"{bad.place}: tag the cells on one side of the cut differently, then the sides can be "
-            "told apart"
-        )
-    below: Mask = cosine > 0.0
-    return below
+    ranks = mesh.comm.gather(columns)
+    if ranks is None:
+        return None
+    order, nodes, x, cell_tag, corners, values = map(np.concatenate, zip(*ranks, strict=True))
+    order = np.argsort(order)
+    distinct, first, rows = np.unique(nodes[order], return_index=True, return_inverse=True)
+    nodes, cell = rows.reshape(nodes.shape), _compat.cell_name(mesh)
+    return WholeMesh(
+        cell,
+        _compat.geometry_degree(mesh),
+        nodes,
+        x[order].reshape(-1, mesh.geometry.dim)[first],
+        cell_tag[order],
+        tags_by_corners(cell, nodes, positions(distinct, corners), values)[0],
+        tagged.names,
+        dict(body_names(tagged.cell_tags)),
+    )
 
 
 @dataclass(frozen=True)
@@ -163,48 +169,41 @@ class _Opening:
 
 
 def _openings(
-    tagged: TaggedMesh, interfaces: Sequence[Interface]
+    whole: WholeMesh, interfaces: Sequence[Interface]
 ) -> tuple[list[_Opening], dict[str, int]]:
     """Replace names by tags; also return all names."""
-    comm = tagged.mesh.comm
-    existing = [
-        np.unique(concatenate_ranks(comm, np.unique(tags.values)))
-        for tags in (tagged.cell_tags, tagged.facet_tags)
-    ]
+    cell_tags, facet_tags = (
+        tags[tags != NO_TAG] for tags in map(np.unique, (whole.cell_tag, whole.facet_tag))
+    )
+    names = whole.names
     numbers = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
-    free = 1 + max([0, *numbers, *(int(t.max(initial=0)) for t in existing)])
+    free = 1 + max([0, *numbers, *(int(t.max(initial=0)) for t in (cell_tags, facet_tags))])
     added: dict[str, int] = {}
 
     def new_tag(tag: int | str) -> int:
         if not isinstance(tag, str):
             return int(tag)
-        if tag in tagged.names:
+        if tag in names:
             raise InputError(
                 f"the new surface '{tag}' has the name of a body or surface that the mesh has "
                 "already; choose another, or pass a number"
             )
         return added.setdefault(tag, free + len(added))
 
-    with raise_collectively(comm):
-        openings = []
-        for i in interfaces:
-            slave, master = (
-                _tag(t, tagged.names, existing[0], "cell") for t in (i.slave, i.master)
+    openings = []
+    for i in interfaces:
+        slave, master = (_tag(t, names, cell_tags, "cell") for t in (i.slave, i.master))
+        facets = None if i.facets is None else _tag(i.facets, names, facet_tags, "facet")
+        opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
+        if slave == master and facets is None:
+            raise InputError(
+                f"{i}: slave and master are the same body; name the facets of a plane cut, or tag "
+                "the cells on one side of the surface differently, then the sides can be told apart"
             )
-            facets = (
-                None if i.facets is None else _tag(i.facets, tagged.names, existing[1], "facet")
-            )
-            opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
-            if slave == master and facets is None:
-                raise InputError(
-                    f"{i}: slave and master are the same body; name the facets of a plane cut, or "
-                    "tag the cells on one side of the surface differently, then the sides can be "
-                    "told apart"
-                )
-            if opening.slave_tag == opening.master_tag:
-                raise InputError(f"{i}: the two new surfaces have the same tag")
-            openings.append(opening)
-    return openings, {**tagged.names, **added}
+        if opening.slave_tag == opening.master_tag:
+            raise InputError(f"{i}: the two new surfaces have the same tag")
+        openings.append(opening)
+    return openings, {**names, **added}
 
 
 def _tag(tag: int | str, names: Mapping[str, int], existing: Numbers, kind: str) -> int:
@@ -216,248 +215,139 @@ def _tag(tag: int | str, names: Mapping[str, int], existing: Numbers, kind: str)
     return number
 
 
-@dataclass(frozen=True)
-class _FacetSides:
-    """The facets of this rank's m cells, each seen from its cell."""
-
-    cell_tag: Numbers  # (m,)
-    facet: Numbers  # (m, f) global numbers
-    facet_tag: Numbers  # (m, f)
-    directory: Directory  # of the facets; the following are for its keys
-    low: Numbers  # smallest and largest cell tag at the facet
-    high: Numbers
-    tag: Numbers  # of the facet
-    cells: Numbers  # number of cells at the facet
-
-    @staticmethod
-    def from_mesh(tagged: TaggedMesh) -> _FacetSides:
-        """Gather the tags around each facet on its home rank. Collective."""
-        mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
-        local = cell_facets(mesh)[:owned]
-        facet_map = mesh.topology.index_map(mesh.topology.dim - 1)
-        facet = global_numbers(facet_map, local)
-        cell_tag = np.full(owned, _UNTAGGED, dtype=np.int64)
-        on_owned = tagged.cell_tags.indices < owned
-        cell_tag[tagged.cell_tags.indices[on_owned]] = tagged.cell_tags.values[on_owned]
-
-        directory = Directory(mesh.comm, np.unique(facet))
-        keys, values = directory.collect(facet.ravel(), np.repeat(cell_tag, facet.shape[1]))
-        order = np.lexsort((values, keys))
-        first = np.searchsorted(keys[order], directory.keys)
-        last = np.searchsorted(keys[order], directory.keys, side="right") - 1
-        low, high = values[order[first]], values[order[last]]
-        tag = np.full(directory.keys.size, _UNTAGGED, dtype=np.int64)
-        keys, values = directory.collect(
-            global_numbers(facet_map, tagged.facet_tags.indices),
-            tagged.facet_tags.values.astype(np.int64),
-        )
-        tag[directory.position(keys)] = values
-        facet_tag = directory.lookup(facet.ravel(), tag)[1].reshape(facet.shape)
-        return _FacetSides(cell_tag, facet, facet_tag, directory, low, high, tag, last - first + 1)
-
-
-def _opened_facets(mesh: Mesh, sides: _FacetSides, openings: Sequence[_Opening]) -> Numbers:
+def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[_Opening]) -> Numbers:
     """Return the number of the interface that each facet (m, f) of a cell is in; -1 for none."""
-    comm = mesh.comm
-    opened = np.full(sides.tag.size, -1, dtype=np.int64)
+    flat, cell_tag = facets.ravel(), np.repeat(whole.cell_tag, facets.shape[1])
+    order, count = np.lexsort((cell_tag, flat)), np.bincount(flat)
+    end = np.cumsum(count)
+    low, high = cell_tag[order[end - count]], cell_tag[order[end - 1]]
+    facet_tag = whole.facet_tag.ravel()[order[end - 1]]
+    opened = np.full(count.size, -1, dtype=np.int64)
     for k, opening in enumerate(openings):
-        low, high = sorted((opening.slave, opening.master))
-        selected = (sides.low == low) & (sides.high == high) & (sides.cells == 2)
+        lower, upper = sorted((opening.slave, opening.master))
+        selected = (low == lower) & (high == upper) & (count == 2)
         if opening.facets is not None:
-            selected &= sides.tag == opening.facets
-        number, repeated = comm.allreduce(np.array([selected.sum(), (opened[selected] >= 0).sum()]))
-        if not number:
+            selected &= facet_tag == opening.facets
+        if not selected.any():
             raise InputError(
                 f"there are no {opening}: they do not touch, have nodes of their own already, or "
                 "the tag is on other facets"
             )
-        if repeated:
-            first = openings[int(comm.allreduce(opened[selected].max(initial=-1), MPI.MAX))]
+        if repeated := np.count_nonzero(opened[selected] >= 0):
+            first = openings[opened[selected].max()]
             raise InputError(f"{repeated} of the {opening} are in two interfaces, also in: {first}")
         opened[selected] = k
-    numbers: Numbers = sides.directory.lookup(sides.facet.ravel(), opened)[1]
-    return numbers.reshape(sides.facet.shape)
+    return opened[facets]
 
 
-def _check_new_tags(
-    comm: MPI.Intracomm, sides: _FacetSides, opened: Numbers, openings: Sequence[_Opening]
-) -> None:
-    """Check that the new tags are on no facet that stays."""
-    new = sorted({tag for o in openings for tag in (o.slave_tag, o.master_tag)})
-    occupied = np.unique(sides.facet_tag[(opened < 0) & np.isin(sides.facet_tag, new)])
-    occupied = np.unique(concatenate_ranks(comm, occupied))
+def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[_Opening]) -> Numbers:
+    """Return the tags of the facets (m, f) after the split; the new ones are on no others."""
+    facet_tag = whole.facet_tag.copy()
+    new = [tag for o in openings for tag in (o.slave_tag, o.master_tag)]
+    occupied = np.unique(facet_tag[(opened < 0) & np.isin(facet_tag, new)])
     if occupied.size:
         raise InputError(
             f"other facets have the tags {occupied.tolist()} of new surfaces; choose tags that no "
             "facet has"
         )
+    for k, opening in enumerate(openings):
+        cell, facet = np.nonzero(opened == k)
+        if opening.slave == opening.master:
+            on_slave = _on_first_side(whole, cell, facet, opening)
+        else:
+            on_slave = whole.cell_tag[cell] == opening.slave
+        facet_tag[cell, facet] = np.where(on_slave, opening.slave_tag, opening.master_tag)
+    return facet_tag
+
+
+def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:
+    """Tell which cells are below facets of theirs that are nearly in a plane.
+
+    The plane's normal points upwards: its largest component is positive.
+    """
+    x, nodes = whole.x, whole.nodes[cell]
+    corners = np.array(whole.kind.facet_nodes(1))[facet]
+    points = x[np.take_along_axis(nodes, corners, axis=1)]
+    outward = points.mean(axis=1) - x[nodes[:, : whole.kind.vertices]].mean(axis=1)
+    normal = corner_normals(points).sum(axis=1)
+    normal *= np.sign(np.sum(normal * outward, axis=1))[:, None]
+    # the squares add up for both sides
+    up = np.linalg.eigh(normal.T @ normal)[1][:, -1]
+    up = up * np.sign(up[np.argmax(np.abs(up))])
+    cosine = normal @ up / np.linalg.norm(normal, axis=1)
+    if bad := first_wrong(MPI.COMM_SELF, np.abs(cosine) < 0.5, points.mean(axis=1)):
+        raise InputError(
+            f"{bad.number} of the {opening} are far from the plane of the others, the first around "
+            f"{bad.place}: tag the cells on one side of the cut differently, then the sides can be "
+            "told apart"
+        )
+    below: Mask = cosine > 0.0
+    return below
 
 
 # -- nodes -------------------------------------------------------------------------------------
 
 
-def _renumbered(mesh: Mesh, sides: _FacetSides, opened: Numbers) -> tuple[Numbers, Vector]:
-    """Return the nodes of this rank's cells (m, n) in the new mesh, and its share of the points."""
-    comm, kind = mesh.comm, cell_type(mesh)
-    nodes = _compat.geometry_cells(mesh)[: owned_cells(mesh)]
-    # dolfinx 0.5 may number a node that two ranks share twice; the input's numbers are unique
-    old = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)[nodes]
-    directory = Directory(comm, np.unique(old))
-    on_surface = np.zeros(directory.keys.size, dtype=bool)
-    for f, corners in enumerate(kind.facets):
-        keys = directory.collect(old[opened[:, f] >= 0][:, corners].ravel())[0]
-        on_surface[directory.position(keys)] = True
-
-    vertices = old[:, : kind.vertices]
-    split = directory.lookup(vertices.ravel(), on_surface)[1].reshape(vertices.shape)
-    copy = _copies_of_vertices(mesh, sides, opened, directory, vertices, split)
-    if old.shape[1] > kind.vertices:
-        copy = np.hstack([copy, _copies_between_vertices(mesh, directory, old, copy)])
-
-    last_copy = np.zeros(directory.keys.size, dtype=np.int64)
-    keys, number = directory.collect(old.ravel(), copy.ravel())
-    np.maximum.at(last_copy, directory.position(keys), number)
-    first = first_of_rank(comm, int(np.sum(last_copy + 1)))[0]
-    start = first + np.cumsum(last_copy + 1) - (last_copy + 1)
-    cells = directory.lookup(old.ravel(), start)[1].reshape(old.shape) + copy
-
-    points = np.zeros((directory.keys.size, mesh.geometry.dim))
-    keys, x = directory.collect(old.ravel(), mesh.geometry.x[nodes.ravel(), : mesh.geometry.dim])
-    points[directory.position(keys)] = x
-    return cells, np.repeat(points, last_copy + 1, axis=0)
-
-
-def _copies_of_vertices(
-    mesh: Mesh,
-    sides: _FacetSides,
-    opened: Numbers,
-    directory: Directory,
-    vertices: Numbers,
-    split: Mask,
-) -> Numbers:
-    """Return which copy of its vertices each cell has (m, v), counted from 0.
-
-    The home of a vertex joins the cells around it that have a closed facet in common there.
-    """
-    kind, cell_map = cell_type(mesh), mesh.topology.index_map(mesh.topology.dim)
-    number = global_numbers(cell_map, np.arange(len(vertices)))
-    columns = []
-    for f, corners in enumerate(kind.facets):
-        for corner in corners:
-            rows = np.flatnonzero(split[:, corner])
-            facet = np.where(opened[rows, f] < 0, sides.facet[rows, f], -1)
-            columns.append(np.stack([vertices[rows, corner], number[rows], facet]))
-    vertex, cell, facet = directory.collect(*np.concatenate(columns, axis=1))
-    vertex_cells, cell_position = np.unique(
-        np.stack([vertex, cell], axis=1), axis=0, return_inverse=True
-    )
-    closed = facet >= 0
-    joints, joint_position = np.unique(
-        np.stack([vertex, facet], axis=1)[closed], axis=0, return_inverse=True
-    )
-    size = len(vertex_cells) + len(joints)
-    ends = (cell_position.ravel()[closed], len(vertex_cells) + joint_position.ravel())
-    graph = sp.coo_matrix((np.ones(ends[0].size), ends), (size, size))
-    group = connected_components(graph, directed=False)[1][: len(vertex_cells)]
-    copy = _rank_within(vertex_cells[:, 0], group)
-
-    vertex, cell, copy = directory.forward(vertex_cells[:, 0], vertex_cells[:, 1], copy)
-    copies = np.zeros(split.shape, dtype=np.int64)
-    first = int(number[0]) if number.size else 0
-    on_rank = (cell >= first) & (cell < first + number.size)
-    vertex, cell, copy = vertex[on_rank], cell[on_rank] - first, copy[on_rank]
-    corner = np.argmax(vertices[cell] == vertex[:, None], axis=1)
-    copies[cell, corner] = copy
-    return copies
-
-
-def _copies_between_vertices(
-    mesh: Mesh, directory: Directory, old: Numbers, copies: Numbers
-) -> Numbers:
-    """Return which copy each cell has of its nodes (m, n - v) on edges and faces.
-
-    Cells have the same copy where they have the same copies of the vertices around it: thus nodes
-    of degree 2 are shared where dolfinx sees one edge or face.
-    """
-    midpoints = cell_type(mesh).midpoints
-    digit = 1 + mesh.comm.allreduce(int(copies.max(initial=0)), MPI.MAX)
-    span = digit ** copies.shape[1]
-    code = np.zeros((len(old), len(midpoints)), dtype=np.int64)
-    for k, ends in enumerate(midpoints):
-        # neighbours list the vertices in different orders
-        order = np.argsort(old[:, ends], axis=1)
-        ordered = np.take_along_axis(copies[:, ends], order, axis=1)
-        code[:, k] = ordered @ digit ** np.arange(len(ends))
-    nodes = old[:, copies.shape[1] :]
-    distinct = np.unique(np.stack(directory.collect(nodes.ravel(), code.ravel()), axis=1), axis=0)
-    rank = np.arange(len(distinct)) - np.searchsorted(distinct[:, 0], distinct[:, 0])
-    node, number, rank = directory.forward(distinct[:, 0], distinct[:, 1], rank)
-    keys = node * span + number
-    order = np.argsort(keys)
-    numbers: Numbers = rank[order][np.searchsorted(keys[order], nodes * span + code)]
-    return numbers
-
-
-def _rank_within(key: Numbers, group: Numbers) -> Numbers:
-    """Return the rank of each row's group among those of its key, by first appearance."""
-    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
-    order = np.lexsort((first, key[first]))
-    keys = key[first][order]
-    start = np.searchsorted(keys, keys)
-    rank = np.empty(first.size, dtype=np.int64)
-    rank[order] = np.arange(first.size) - start
-    ranks: Numbers = rank[inverse.ravel()]
-    return ranks
-
-
-def _check_open(mesh: Mesh, sides: _FacetSides, opened: Numbers, cells: Numbers) -> None:
-    """Check that the two sides of each opened facet have different vertices."""
-    x, nodes = mesh.geometry.x[:, : mesh.geometry.dim], _compat.geometry_cells(mesh)
-    rows = []
-    for f, corners in enumerate(cell_type(mesh).facets):
-        opened_cells = np.flatnonzero(opened[:, f] >= 0)
-        middle = x[nodes[opened_cells][:, corners]].mean(axis=1)
-        rows.append(
-            (sides.facet[opened_cells, f], np.sort(cells[opened_cells][:, corners], axis=1), middle)
-        )
-    columns = (np.concatenate(column) for column in zip(*rows, strict=True))
-    keys, vertices, places = sides.directory.collect(*columns)
-    order = np.argsort(keys, kind="stable")
-    keys, vertices, places = keys[order], vertices[order], places[order]
-    closed: Mask = (keys[1:] == keys[:-1]) & np.all(vertices[1:] == vertices[:-1], axis=1)
-    if bad := first_wrong(mesh.comm, closed, places[1:]):
+def _separated(whole: WholeMesh, facets: Numbers, opened: Numbers) -> tuple[Numbers, Vector]:
+    """Return the nodes of cells, and their places, with a copy for each group of cells."""
+    kind, nodes = whole.kind, whole.nodes.copy()
+    cell, facet = np.nonzero(opened >= 0)
+    corners = np.array(kind.facets)[facet]
+    on_surface = np.zeros(len(whole.x), dtype=bool)
+    on_surface[nodes[cell[:, None], corners]] = True
+    split = on_surface[nodes[:, : kind.vertices]]
+    group = _groups_at_vertices(whole, facets, opened, split)
+    x = _copy_nodes(nodes, split, group, whole.x)
+    if whole.degree == 2:
+        # shared where dolfinx sees one edge or face: by cells with the same vertices around them
+        around = np.full((*nodes.shape, 1 + kind.vertices), -1, dtype=np.int64)
+        around[:, :, 0], near = nodes, np.zeros(nodes.shape, dtype=bool)
+        for k, ends in enumerate(kind.midpoints, start=kind.vertices):
+            around[:, k, 1 : 1 + len(ends)] = np.sort(nodes[:, ends], axis=1)
+            near[:, k] = split[:, ends].any(axis=1)
+        x = _copy_nodes(nodes, near, number_rows(around[near]), x)
+    order = np.argsort(facets[cell, facet], kind="stable")
+    sides = np.sort(nodes[cell[:, None], corners][order], axis=1).reshape(-1, 2, corners.shape[1])
+    closed: Mask = np.all(sides[:, 0] == sides[:, 1], axis=1)
+    if bad := first_wrong(MPI.COMM_SELF, closed, x[sides[:, 0]].mean(axis=1)):
         raise InputError(
             f"{bad.number} facets of the interfaces cannot be opened, the first around "
             f"{bad.place}: all their nodes are at the border of the interface, where the bodies "
             "stay together. Open more of the surface, or mesh it more finely"
         )
+    return nodes, x
 
 
-# -- tags --------------------------------------------------------------------------------------
+def _groups_at_vertices(whole: WholeMesh, facets: Numbers, opened: Numbers, split: Mask) -> Numbers:
+    """Return the group of cells at each of the vertices that may be split.
+
+    Cells that have a closed facet in common are in one group at its vertices.
+    """
+    entry = np.full(split.shape, -1, dtype=np.int64)
+    count = entry[split].size
+    entry[split] = np.arange(count)
+    corners = np.array(whole.kind.facets)
+    cell, facet, k = np.nonzero(split[:, corners] & (opened < 0)[:, :, None])
+    vertex = corners[facet, k]
+    joint = number_rows(np.column_stack([facets[cell, facet], whole.nodes[cell, vertex]]))
+    size = count + int(joint.max(initial=-1)) + 1
+    ends = entry[cell, vertex], count + joint
+    graph = sp.coo_matrix((np.ones(joint.size), ends), (size, size))
+    groups: Numbers = connected_components(graph, directed=False)[1][:count]
+    return groups
 
 
-def _with_tags(
-    mesh: Mesh, cell_tag: Numbers, facet_tag: Numbers, names: dict[str, int]
-) -> TaggedMesh:
-    """Tag a mesh by the tags of the cells that this rank gave and of their facets (m, f)."""
-    dim = mesh.topology.dim
-    first = first_of_rank(mesh.comm, len(cell_tag))[0]
-    number = first + np.arange(len(cell_tag))
-    directory = Directory(mesh.comm, number)
-    keys, *columns = directory.collect(number, cell_tag, facet_tag)
-    order = np.argsort(keys)
-    input_cells = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
-    _, cell_tags, tags_of_facets = directory.lookup(
-        input_cells, *(column[order] for column in columns)
-    )
-    facets = cell_facets(mesh)
-    facet_map = mesh.topology.index_map(dim - 1)
-    facet_tags = np.full(facet_map.size_local + facet_map.num_ghosts, _UNTAGGED, dtype=np.int64)
-    facet_tags[facets] = tags_of_facets
-    return TaggedMesh(mesh, _tags(mesh, dim, cell_tags), _tags(mesh, dim - 1, facet_tags), names)
+def _copy_nodes(nodes: Numbers, chosen: Mask, group: Numbers, x: Vector) -> Vector:
+    """Give each group of chosen entries of a table of nodes one of its own; return all places.
 
-
-def _tags(mesh: Mesh, dim: int, values: Numbers) -> Any:
-    """Return the tags of all entities of this rank that have one."""
-    tagged = np.flatnonzero(values != _UNTAGGED)
-    return sorted_tags(mesh, dim, tagged, values[tagged])
+    The entries of a group are of one node. Its first group keeps its number.
+    """
+    cell, column = np.nonzero(chosen)
+    _, first, group = np.unique(group, return_index=True, return_inverse=True)
+    number = nodes[cell[first], column[first]]
+    copied = np.ones(number.size, dtype=bool)
+    copied[np.unique(number, return_index=True)[1]] = False
+    places: Vector = np.concatenate([x, x[number[copied]]])
+    number[copied] = len(x) + np.arange(np.count_nonzero(copied))
+    nodes[cell, column] = number[group]
+    return places

@@ -1,14 +1,22 @@
-"""The result of reading or making a mesh: a distributed mesh with tagged cells and facets."""
+"""Meshes with tagged cells and facets: all of one on rank 0, and distributed by dolfinx."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
+
+from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh, meshtags
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
+from fenics_tfeti.fem.topology import NO_TAG, cell_facets, with_body_names
+from fenics_tfeti.parallel import Directory
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -44,3 +52,81 @@ def sorted_tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[An
     """Return mesh tags of entities of this rank that are in any order."""
     order = np.argsort(entities)
     return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
+
+
+@dataclass(frozen=True)
+class WholeMesh:
+    """All m cells of a mesh, with nodes in the order of dolfinx, and the tags of their facets."""
+
+    cell: str
+    degree: int
+    nodes: Numbers  # (m, n)
+    x: Vector  # (k, gdim) of the nodes [m]
+    cell_tag: Numbers  # (m,)
+    facet_tag: Numbers  # (m, f)
+    names: dict[str, int]
+    body_names: dict[int, str]
+
+    @property
+    def kind(self) -> ReferenceCell:
+        """The type of the cells."""
+        return reference_cell(self.cell)
+
+    def without_cells(self) -> WholeMesh:
+        """Return what other ranks have of it."""
+        none: dict[str, Any] = {
+            k: v[:0] for k, v in vars(self).items() if isinstance(v, np.ndarray)
+        }
+        return replace(self, **none)
+
+
+def tags_by_corners(
+    cell: str, nodes: Numbers, corners: Numbers, values: Numbers
+) -> tuple[Numbers, Mask]:
+    """Return tags (m, f) of the facets of cells from those of corners (k, t), in any order.
+
+    Also tell which of the corners are those of a facet; negative ones are not.
+    """
+    facets = np.sort(nodes[:, np.array(reference_cell(cell).facets)], axis=2)
+    marked = np.zeros(nodes.max() + 1, dtype=bool)
+    marked[corners[corners >= 0]] = True
+    near = marked[facets].all(axis=2)
+    number = number_rows(np.concatenate([np.sort(corners, axis=1), facets[near]]))
+    given, found = np.split(number, [len(corners)])
+    tag = np.full(int(number.max(initial=-1)) + 1, NO_TAG, dtype=np.int64)
+    tag[given] = values
+    facet_tag = np.full(near.shape, NO_TAG, dtype=np.int64)
+    facet_tag[near] = tag[found]
+    return facet_tag, np.isin(given, found)
+
+
+def number_rows(rows: Numbers) -> Numbers:
+    """Return numbers from 0 for rows (k, c) of integers, the same for equal ones."""
+    number = np.zeros(len(rows), dtype=np.int64)
+    # column by column: several times faster than np.unique of rows
+    for column in rows.T:
+        values, column = np.unique(column, return_inverse=True)
+        code = number * values.size + column
+        number = np.unique(code, return_inverse=True)[1]
+    return number
+
+
+def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
+    """Distribute a mesh that rank 0 has; it is None on other ranks. Collective."""
+    empty = comm.bcast(None if whole is None else whole.without_cells())
+    share = empty if whole is None else whole
+    mesh = _compat.distributed_mesh(comm, share.nodes, share.x, share.cell, share.degree)
+    dim, number = mesh.topology.dim, np.arange(len(share.nodes))
+    directory = Directory(comm, number)
+    _, *columns = directory.collect(number, share.cell_tag, share.facet_tag)
+    input_cells = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
+    _, cell_tag, tags_of_facets = directory.lookup(input_cells, *columns)
+    facets = cell_facets(mesh)
+    facet_map = mesh.topology.index_map(dim - 1)
+    facet_tag = np.full(facet_map.size_local + facet_map.num_ghosts, NO_TAG, dtype=np.int64)
+    facet_tag[facets] = tags_of_facets
+    cell_tags, facet_tags = (
+        sorted_tags(mesh, d, tagged := np.flatnonzero(tag != NO_TAG), tag[tagged])
+        for d, tag in ((dim, cell_tag), (dim - 1, facet_tag))
+    )
+    return TaggedMesh(mesh, with_body_names(cell_tags, share.body_names), facet_tags, share.names)

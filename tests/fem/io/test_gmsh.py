@@ -152,6 +152,13 @@ def test_mixed_cells_are_refused(tmp_path):
         read_msh(write_msh(tmp_path / "a.msh", points, elements), MPI.COMM_SELF, gdim=2)
 
 
+def test_cells_without_some_of_their_nodes_are_refused(tmp_path):
+    points = [*SQUARE, (0.5, 0, 0), (1, 0.5, 0), (0.5, 1, 0), (0, 0.5, 0)]
+    path = write_msh(tmp_path / "a.msh", points, [(16, 1, tuple(range(1, 9)))])
+    with pytest.raises(InputError, match="of the type Quadrilateral 8; .*SecondOrderIncomplete"):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
 @pytest.mark.parametrize(
     ("points", "element", "gdim", "message"),
     [
