@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +25,6 @@ from fenics_tfeti.fem.strains import warn_of_large_gradients
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
-from fenics_tfeti.memory import return_free_memory
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
 
@@ -125,7 +125,7 @@ class ContactProblem(SteppedProblem):
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
-        return_free_memory()
+        _return_free_memory()
         self.geometry = as_geometry(geometry)
         super().__init__(
             *as_forms(a, L),
@@ -141,7 +141,7 @@ class ContactProblem(SteppedProblem):
             displacement=None,
         )
         self.system = self._torn.system(self._step.origin)
-        return_free_memory()
+        _return_free_memory()
         self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
 
@@ -380,3 +380,14 @@ class ContactProblem(SteppedProblem):
         self._store(solution, conditions, bodies)
         self._step = replace(self._step, displacement=owned_values(uh))
         return uh
+
+
+def _return_free_memory() -> None:
+    """Give memory that is free back to the system, where the C library can (glibc).
+
+    Reading and distributing a mesh, and the assembly, leave more of it than what they have made; in
+    pieces, of which large arrays take none.
+    """
+    library = ctypes.CDLL(None)
+    if hasattr(library, "malloc_trim"):
+        library.malloc_trim(0)
