@@ -206,14 +206,18 @@ class _Progress:
 
     sign_factor: float = 1.0  # tolerance of the residual on a face, relative to the violation
     best: float = np.inf
+    smallest: float = np.inf
     failures: int = 0
 
     def update(self, violation: float) -> None:
         """Compare with the smallest violation so far."""
+        if violation >= self.smallest:
+            self.sign_factor *= 0.5
+        self.smallest = min(violation, self.smallest)
         if violation < _REDUCED * self.best:
             self.best, self.failures = violation, 0
         else:
-            self.sign_factor, self.failures = 0.5 * self.sign_factor, self.failures + 1
+            self.failures += 1
 
     @property
     def stagnates(self) -> bool:
