@@ -41,8 +41,9 @@ def test_leaves_share_the_load(steps, coefficient):
     problem = scene.problem()
     problem.solve()
     products = problem.report.products["total"]
-    # without the direct solver of faces it is 1449 to more than 10,000
-    assert products <= 500, products
+    # rounding decides which faces are slow: 170 to 838 products for loads that differ by 1e-9, and
+    # without the direct solver of faces up to more than 4,000 and no convergence
+    assert products <= 1000, products
     for k, result in enumerate(problem.results, start=1):
         # finer leaves are softer
         share = FORCE * k / LEAVES
