@@ -47,6 +47,8 @@ def primal_dual_active_set(problem: DualProblem, start: Iterate, turn: Turn) -> 
         step = method.step()
         status = method.judge(step)
         if status is not None:
+            if status is SolveStatus.STALLED and not turn.is_spent:
+                start = replace(start, circle=(*start.circle, *method.progress.sets))
             return iterate_on_face(problem, start, step.iterate, status)
         method.update(step)
 
@@ -86,6 +88,7 @@ class _ActiveSet:
     iterate: Vector | PCPGIterate  # start on the next face
     gradient: Vector  # (m,): gaps, and slips with the opposite sign, before it
     resumes: bool  # whether the next face is that of the iterate
+    circle: tuple[Mask, ...]  # sets from which the method went round in circles before
     repeated: bool = False  # whether the last face was solved, and once more for its slips
     progress: _Progress = field(default_factory=lambda: _Progress())
     # active sets of faces that were solved to the tolerance
@@ -94,13 +97,13 @@ class _ActiveSet:
     @staticmethod
     def start(problem: DualProblem, start: Iterate, turn: Turn) -> _ActiveSet:
         """Return the first face: that of an iterate, of multipliers, or of rigid bodies."""
-        rows = problem.constraints.inequality
+        rows, circle = problem.constraints.inequality, start.circle
         none = np.zeros(rows.size, dtype=bool)
         has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
         if start.on_face is not None:
             contact_state = start.on_face.contact_state
             return _ActiveSet(
-                problem, turn, has_friction, contact_state, start.on_face, problem.c, True
+                problem, turn, has_friction, contact_state, start.on_face, problem.c, True, circle
             )
         multipliers = start.multipliers
         contact_state = ContactState.of(problem, multipliers, start.active, start.slips)
@@ -110,7 +113,9 @@ class _ActiveSet:
             contact_state = replace(contact_state, active=pressing > 0.0)
             multipliers = multipliers.copy()
             multipliers[rows] += pressing
-        return _ActiveSet(problem, turn, has_friction, contact_state, multipliers, problem.c, False)
+        return _ActiveSet(
+            problem, turn, has_friction, contact_state, multipliers, problem.c, False, circle
+        )
 
     def step(self) -> _Step:
         """Solve on the face, and find the signs of forces and gaps."""
@@ -161,7 +166,7 @@ class _ActiveSet:
             and closable(problem, step.face.contact_state, iterate.multipliers) is None
         ):
             return SolveStatus.SOLVED
-        self.progress.update(iterate.violation)
+        self.progress.update(iterate.violation, step.face.contact_state.active)
         if iterate.at_limit:
             return SolveStatus.AT_ROUNDING
         if self._cycles(step) or self.progress.stagnates or self.turn.is_spent:
@@ -170,9 +175,11 @@ class _ActiveSet:
 
     def _cycles(self, step: _Step) -> bool:
         """Tell whether the next set has occurred before; with friction sets may come back."""
-        if self.has_friction or step.iterate.energy > self.turn.tolerance:
+        if self.has_friction:
             return False
-        return any(_counts(self.problem, step.active != s)[0] == 0 for s in self.exact_sets)
+        exact = step.iterate.energy <= self.turn.tolerance
+        sets = [*self.circle, *self.exact_sets] if exact else self.circle
+        return 0 in _counts(self.problem, *(step.active != s for s in sets))
 
     def update(self, step: _Step) -> None:
         """Take the signs of a step as the next face."""
@@ -205,24 +212,24 @@ class _Progress:
     """
 
     sign_factor: float = 1.0  # tolerance of the residual on a face, relative to the violation
-    best: float = np.inf
     smallest: float = np.inf
-    failures: int = 0
+    best: float = np.inf  # the smallest but for small decreases
+    sets: list[Mask] = field(default_factory=list)  # of the faces from the best one on
 
-    def update(self, violation: float) -> None:
+    def update(self, violation: float, active: Mask) -> None:
         """Compare with the smallest violation so far."""
         if violation >= self.smallest:
             self.sign_factor *= 0.5
         self.smallest = min(violation, self.smallest)
         if violation < _REDUCED * self.best:
-            self.best, self.failures = violation, 0
-        else:
-            self.failures += 1
+            self.best = violation
+            self.sets.clear()
+        self.sets.append(active)
 
     @property
     def stagnates(self) -> bool:
         """Tell whether the violation has not decreased for too many faces."""
-        return self.failures > _FAILURES
+        return len(self.sets) - 1 > _FAILURES
 
 
 def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate) -> Vector:

@@ -73,6 +73,8 @@ class Iterate:
     active: Mask | None = None
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
+    # active sets (i,) on which the active set method went round in circles
+    circle: tuple[Mask, ...] = ()
 
     def at_multipliers(self) -> Iterate:
         """Return the iterate to start from its multipliers and active set alone.

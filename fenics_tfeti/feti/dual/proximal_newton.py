@@ -80,6 +80,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         before = turn.products.total
         on_face = _on_face(problem, iterate, turn)
         turn = turn.extended(turn.products.total - before)
+        start = replace(start, circle=on_face.circle)
         if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
             return on_face if on_face.status is SolveStatus.SOLVED else iterate
         stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)

@@ -212,7 +212,7 @@ class _Loop:
         # where nothing moves, other multipliers would leave displacements of rounding size
         if start is None or self.scale.energy_norm == 0.0:
             return Iterate(np.zeros_like(self.d_0), method)
-        return replace(start, method=method)
+        return replace(start, method=method, circle=())
 
     def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
         """Solve the dual problem: the methods take turns, first the one of the iterate."""

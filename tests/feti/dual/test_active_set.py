@@ -20,7 +20,7 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.active_set import close_first_gaps
+from fenics_tfeti.feti.dual.active_set import _Progress, close_first_gaps
 from fenics_tfeti.feti.dual.pcpg import ContactState, Face, pcpg
 from fenics_tfeti.qp import Products, balls
 
@@ -60,6 +60,17 @@ def test_cycle_ends_by_newtons_method():
     assert solution.report.converged
     assert solution.report.outer_iterations == 0
     np.testing.assert_allclose(solution.normal_force, exact, atol=1e-8)
+
+
+def test_faces_are_solved_more_accurately_where_the_violation_of_signs_does_not_decrease():
+    """A plank that is lifted peels off node by node: there accuracy would be wasted."""
+    progress, active = _Progress(), np.ones(3, dtype=bool)
+    for violation in (1.0, 0.95, 0.9):
+        progress.update(violation, active)
+    assert progress.sign_factor == 1.0
+    progress.update(0.9, active)
+    assert progress.sign_factor == 0.5
+    assert len(progress.sets) == 4
 
 
 @pytest.mark.parametrize("seed", range(4))
