@@ -58,8 +58,6 @@ class TornProblem:
         Friction at the contact rows, in the order of ``glued.friction``.
     options : dict
         Options of the solver.
-    mutation : str
-        What was made wrong on purpose; empty for a problem that is meant.
     story : list of str
         What was drawn, in words.
     """
@@ -73,7 +71,6 @@ class TornProblem:
     contact_names: list[str]
     friction: Friction
     options: dict[str, Any]
-    mutation: str = ""
     story: list[str] = field(default_factory=list)
 
 
@@ -147,9 +144,6 @@ class _Draw:
 
     def chance(self, probability: float) -> bool:
         return bool(self.rng.random() < probability)
-
-    def pick(self, *choices: Any) -> Any:
-        return choices[self.rng.integers(len(choices))]
 
     def nodes_of(self, cell: Place) -> Numbers:
         """Return the glued nodes of a cell, in lattice order."""

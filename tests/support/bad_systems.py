@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -15,17 +14,9 @@ from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 
-
-@dataclass(frozen=True)
-class Mistake:
-    """`make` changes a part that one rank gives; the message contains all `words`."""
-
-    name: str
-    make: Callable[[TornSystem], TornSystem]
-    words: tuple[str, ...]
-
-
-MISTAKES: list[Mistake] = []
+Change = Callable[[TornSystem], TornSystem]
+# what changes a part that one rank gives, and words that are in the message
+Mistake = tuple[Change, *tuple[str, ...]]
 
 
 def column_on(comm: MPI.Comm) -> TornSystem:
@@ -40,219 +31,167 @@ def column_on(comm: MPI.Comm) -> TornSystem:
     )
 
 
-def mistake(*words: str):
-    def register(make: Callable[[TornSystem], TornSystem]) -> Callable[[TornSystem], TornSystem]:
-        MISTAKES.append(Mistake(make.__name__, make, words))
-        return make
-
-    return register
+# -- changes: a function of a field's value, or a new value ----------------------------------------
 
 
-def first(system: TornSystem, **fields: Any) -> TornSystem:
+def changed(part: Any, fields: dict[str, Any]) -> Any:
+    values = {k: v(getattr(part, k)) if callable(v) else v for k, v in fields.items()}
+    return replace(part, **values)
+
+
+def whole(**fields: Any) -> Change:
+    return lambda system: changed(system, fields)
+
+
+def first(**fields: Any) -> Change:
     """Change the rank's first subdomain."""
-    changed = dataclasses.replace(system.subdomains[0], **fields)
-    return dataclasses.replace(system, subdomains=[changed, *system.subdomains[1:]])
+    return whole(subdomains=lambda given: [changed(given[0], fields), *given[1:]])
 
 
-def prescribed(system: TornSystem, **fields: Any) -> TornSystem:
-    return dataclasses.replace(system, prescribed=dataclasses.replace(system.prescribed, **fields))
+def held(**fields: Any) -> Change:
+    """Change the prescribed displacements."""
+    return whole(prescribed=lambda given: changed(given, fields))
 
 
-def contacts(system: TornSystem, **fields: Any) -> TornSystem:
-    return dataclasses.replace(system, contacts=dataclasses.replace(system.contacts, **fields))
+def rows(**fields: Any) -> Change:
+    """Change the contact rows."""
+    return whole(contacts=lambda given: changed(given, fields))
 
 
-def changed(values: np.ndarray, at: Any, value: Any) -> np.ndarray:
-    copy = values.copy()
-    copy[at] = value
-    return copy
-
-
-# -- subdomains ------------------------------------------------------------------------------------
-
-
-@mistake("body of subdomain 0", "-1", "from 0 on")
-def negative_body(system):
-    return first(system, body=-1)
-
-
-@mistake("body of subdomain 0", "1.0", "integer")
-def body_that_is_no_integer(system):
-    return first(system, body=1.0)
-
-
-@mistake("body numbers", "1000000000", "without gaps")
-def body_numbers_with_a_gap(system):
-    return first(system, body=10**9)
-
-
-@mistake("nodes of subdomain 0", "1 of 64", "-5", "position 3")
-def negative_node_number(system):
-    return first(system, nodes=changed(system.subdomains[0].nodes, 3, -5))
-
-
-@mistake("nodes of subdomain 0", "1 node numbers", "more than once", "once")
-def node_number_twice(system):
-    nodes = system.subdomains[0].nodes
-    return first(system, nodes=changed(nodes, 3, nodes[7]))
-
-
-@mistake("nodes of subdomain 0", "1 of 64", "9223372036854775807")
-def node_number_that_is_too_large(system):
-    return first(system, nodes=changed(system.subdomains[0].nodes, 3, np.iinfo(np.int64).max))
-
-
-@mistake("nodes of subdomain 0", "float64", "integers", "astype(numpy.int64)")
-def node_numbers_that_are_no_integers(system):
-    return first(system, nodes=system.subdomains[0].nodes.astype(float))
-
-
-@mistake("coordinates of subdomain 0", "(64, 3)", "expected (63, 3)")
-def node_numbers_of_a_wrong_length(system):
-    return first(system, nodes=system.subdomains[0].nodes[1:])
-
-
-@mistake("nodes of subdomain 0", "none", "out")
-def subdomain_without_nodes(system):
-    return first(
-        system,
-        nodes=[],
-        load=[],
-        coordinates=np.zeros((0, 3)),
-        stiffness=sp.csr_matrix((0, 0)),
+def tied(**fields: Any) -> Change:
+    """Tie the nodes of the contact along x, with some fields of the rows changed."""
+    along_x = rows(coefficients=lambda c: c[:, ::-1])
+    return lambda system: replace(
+        system, tied=changed(along_x(system).contacts, fields) if fields else None
     )
 
 
-@mistake("glued nodes", "different places", "global")
-def local_node_numbers(system):
-    return dataclasses.replace(
-        system,
-        subdomains=[
-            dataclasses.replace(s, nodes=np.arange(s.nodes.size)) for s in system.subdomains
-        ],
-        prescribed=Prescribed(),
-        contacts=ContactRows.none(3),
-    )
+def at(place: Any, value: Any) -> Callable[[Any], Any]:
+    """Change one entry, or some."""
+
+    def change(values: Any) -> Any:
+        copy = np.array(values)
+        copy[place] = value
+        return copy
+
+    return change
 
 
-@mistake("load of subdomain 0", "(191,)", "expected (192,)")
-def load_of_a_wrong_length(system):
-    return first(system, load=system.subdomains[0].load[1:])
+def entry(place: Any, value: float) -> Callable[[sp.csr_matrix], sp.csr_matrix]:
+    """Change an array of a sparse matrix."""
+
+    def change(K: sp.csr_matrix) -> sp.csr_matrix:
+        copy = K.copy()
+        getattr(copy, place)[-1] = value
+        return copy
+
+    return change
 
 
-@mistake("load of subdomain 0", "(64, 3)", "expected (192,)")
-def load_by_nodes(system):
-    return first(system, load=system.subdomains[0].load.reshape(-1, 3))
+# -- mistakes in any system that has the part ------------------------------------------------------
+
+SUBDOMAIN: list[Mistake] = [
+    (first(body=-1), "body of subdomain 0", "-1", "from 0 on"),
+    (first(body=1.0), "body of subdomain 0", "1.0", "integer"),
+    (first(body=10**9), "body numbers", "1000000000", "without gaps"),
+    (first(nodes=at(3, -5)), "nodes of subdomain 0", "1 of 64", "-5", "position 3"),
+    (first(nodes=lambda n: [*n[:-1], n[0]]), "nodes of subdomain 0", "1 node numbers", "once"),
+    (first(nodes=at(3, 2**63 - 1)), "nodes of subdomain 0", "1 of 64", "9223372036854775807"),
+    (first(nodes=lambda n: n.astype(float)), "nodes of", "float64", "astype(numpy.int64)"),
+    (first(nodes=lambda n: n[1:]), "coordinates of subdomain 0", "(64, 3)", "expected (63, 3)"),
+    (first(load=lambda f: f[1:]), "load of subdomain 0", "(191,)", "expected (192,)"),
+    (first(load=lambda f: f[None]), "load of subdomain 0", "(1, 192)", "expected (192,)"),
+    (first(load=lambda f: f + 0j), "load of subdomain 0", "complex128", "float64"),
+    (first(load=None), "load of subdomain 0", "NoneType", "(192,)"),
+    (first(load=at(5, np.nan)), "load of subdomain 0", "1 of 192", "NaN", "traction"),
+    (first(coordinates=lambda x: x[:, 1:]), "coordinates of", "(64, 2)", "expected (64, 3)"),
+    (first(coordinates=at((5, 1), np.inf)), "coordinates of subdomain 0", "1 of 192", "infinite"),
+    (first(frame=np.eye(5)), "frame of subdomain 0", "(5, 5)", "expected (3, 3)"),
+    (first(stiffness=lambda K: K.toarray()), "of shape (192, 192)", "csr_matrix(K)"),
+    (first(stiffness=lambda K: K.toarray().tolist()), "stiffness of", "list", "csr_matrix(K)"),
+    (first(stiffness=lambda K: K.tocoo()), "stiffness of subdomain 0", "coo", "tocsr()"),
+    (first(stiffness=lambda K: K[3:, 3:]), "(189, 189)", "expected (192, 192)"),
+    (first(stiffness=lambda K: K.astype("f")), "stiffness of", "float32", "astype(numpy.float64)"),
+    (first(stiffness=entry("data", np.nan)), "stiffness of", "1 of", "NaN", "material"),
+    (first(stiffness=entry("indices", 10**6)), "stiffness of", "not a valid csr matrix", "192"),
+    (first(stiffness=lambda K: -K), "192 of 192 diagonal", "component 0", "positive moduli"),
+    (whole(subdomains=lambda s: [vars(s[0])]), "subdomains[0]", "dict", "Subdomain"),
+    (whole(subdomains=lambda s: s[0]), "subdomains", "Subdomain", "list"),
+]
+PRESCRIBED: list[Mistake] = [
+    (held(components=at(0, -1)), "prescribed.components", "not in [0, 3)", "-1"),
+    (held(components=at(0, 3)), "prescribed.components", "not in [0, 3)", "is 3"),
+    (held(nodes=at(0, -1)), "prescribed.nodes", "-1", "position 0"),
+    (held(nodes=at(0, 10**15)), "node 1000000000000000", "no subdomain"),
+    (held(values=[[0.0]]), "prescribed.values", "(1, 1)", "expected (80,)"),
+    (held(condition=[[0]]), "prescribed.condition", "(1, 1)", "expected (80,)"),
+    (held(condition=at(0, -1)), "prescribed.condition", "not in [0, ", "-1"),
+    (held(values=at(0, np.nan)), "prescribed displacements", "NaN"),
+]
+CONTACTS: list[Mistake] = [
+    (rows(nodes=at(0, -1)), "contacts.nodes", "1 of 32", "-1", "position 0"),
+    (rows(nodes=at(0, 10**15)), "node 1000000000000000", "no subdomain"),
+    (rows(nodes=lambda n: n[:, None]), "contacts.nodes", "(32, 1)", "expected (k,)"),
+    (rows(nodes=lambda n: n + 0.5), "contacts.nodes", "float64", "integers"),
+    (rows(slaves=at(0, 9)), "contacts.slaves", "1 rows", "row 0 (joint)", "with 9"),
+    (rows(offsets=at(0, 1)), "contacts.offsets", "from 1 to 32", "first has to be 0"),
+    (rows(offsets=lambda n: n[:-1]), "contacts.offsets", "(16,)", "expected (17,)"),
+    (rows(coefficients=[0.0, 0.0, -1.0]), "contacts.coefficients", "(3,)", "expected (32, 3)"),
+    (rows(coefficients=at(4, np.nan)), "contacts.coefficients", "NaN"),
+    (rows(gap=at(4, -np.inf)), "contacts.gap", "1 of 16", "NaN or -inf", "+inf"),
+    (rows(gap=at(4, np.nan)), "contacts.gap", "1 of 16", "NaN"),
+    (rows(contact=at(4, -1)), "contacts.contact", "-1"),
+    (rows(contact=at(4, 10**9)), "contacts.contact", "1000000000", "16 contact rows", "0, 1, ..."),
+]
+SYSTEM: list[Mistake] = [
+    (whole(prescribed=None), "prescribed", "NoneType", "Prescribed()"),
+    (whole(contacts=None), "contacts", "NoneType", "ContactRows.none"),
+    (tied(), "tied", "NoneType", "ContactRows"),
+    (whole(gdim=4), "gdim", "4", "2 or 3"),
+    (whole(gdim=3.0), "gdim", "3.0", "2 or 3"),
+    (whole(condition_names="clamped"), "condition_names", "str", "list of strings"),
+    (whole(body_names="lower"), "body_names", "str", "list of strings"),
+    (whole(contact_names=[1]), "contact_names", "int", "strings"),
+]
 
 
-@mistake("load of subdomain 0", "complex128", "float64")
-def load_that_is_complex(system):
-    return first(system, load=system.subdomains[0].load + 0j)
+def with_mistake(system: TornSystem, rng: np.random.Generator) -> TornSystem:
+    """Make one of the mistakes that concern what this rank gives."""
+    mistakes = SUBDOMAIN * bool(system.subdomains) + SYSTEM
+    mistakes += PRESCRIBED * bool(system.prescribed.nodes.size)
+    mistakes += CONTACTS * bool(system.contacts.nodes.size)
+    for k in rng.permutation(len(mistakes)):
+        try:
+            return mistakes[k][0](system)
+        except IndexError:  # there is no such entry
+            continue
+    raise AssertionError("those of SYSTEM can always be made")
 
 
-@mistake("load of subdomain 0", "NoneType", "(192,)")
-def load_that_is_none(system):
-    return first(system, load=None)
+# -- mistakes in the column ------------------------------------------------------------------------
 
 
-@mistake("load of subdomain 0", "1 of 192", "NaN", "traction")
-def load_with_nan(system):
-    return first(system, load=changed(system.subdomains[0].load, 5, np.nan))
+def with_extra_cube(nodes_shared: int) -> Change:
+    """Add a cube to the rank's first body that shares some nodes of a vertical edge."""
+
+    def change(system: TornSystem) -> TornSystem:
+        one = system.subdomains[0]
+        extra = cube(3, (1, 1, 0), body=one.body, first=7 * 10**9)
+        offset = np.array([0.0, 0.0, one.coordinates[:, 2].min()])
+        coordinates = extra.coordinates + offset
+        nodes = extra.nodes.copy()
+        for k in range(nodes_shared):
+            place = np.array([1.0, 1.0, k / 3]) + offset
+            node = np.argmin(np.linalg.norm(coordinates - place, axis=1))
+            nodes[node] = one.nodes[np.argmin(np.linalg.norm(one.coordinates - place, axis=1))]
+        extra = replace(extra, nodes=nodes, coordinates=coordinates)
+        return replace(system, subdomains=[*system.subdomains, extra])
+
+    return change
 
 
-@mistake("coordinates of subdomain 0", "(64, 2)", "expected (64, 3)")
-def coordinates_in_two_dimensions(system):
-    return first(system, coordinates=system.subdomains[0].coordinates[:, :2])
-
-
-@mistake("frame of subdomain 0", "(2, 2)", "expected (3, 3)")
-def frame_in_two_dimensions(system):
-    return first(system, frame=np.eye(2))
-
-
-@mistake("frame of subdomain 0", "|T T' - I| = 3.000e+00", "orthogonal")
-def frame_that_scales(system):
-    return first(system, frame=2 * np.eye(3))
-
-
-@mistake("coordinates of subdomain 0", "1 of 192", "infinite")
-def coordinates_with_infinity(system):
-    return first(system, coordinates=changed(system.subdomains[0].coordinates, (5, 1), np.inf))
-
-
-@mistake("subdomains[0]", "dict", "Subdomain")
-def subdomain_that_is_a_dictionary(system):
-    return dataclasses.replace(system, subdomains=[vars(system.subdomains[0])])
-
-
-@mistake("subdomains", "Subdomain", "list")
-def one_subdomain_that_is_in_no_list(system):
-    return dataclasses.replace(system, subdomains=system.subdomains[0])
-
-
-# -- stiffness -------------------------------------------------------------------------------------
-
-
-@mistake("stiffness of subdomain 0", "ndarray of shape (192, 192)", "csr_matrix(K)")
-def dense_stiffness(system):
-    return first(system, stiffness=system.subdomains[0].stiffness.toarray())
-
-
-@mistake("stiffness of subdomain 0", "list", "csr_matrix(K)")
-def stiffness_in_lists(system):
-    return first(system, stiffness=system.subdomains[0].stiffness.toarray().tolist())
-
-
-@mistake("stiffness of subdomain 0", "coo", "tocsr()")
-def stiffness_by_coordinates(system):
-    return first(system, stiffness=system.subdomains[0].stiffness.tocoo())
-
-
-@mistake("stiffness of subdomain 0", "(189, 189)", "expected (192, 192)")
-def stiffness_of_a_wrong_shape(system):
-    return first(system, stiffness=system.subdomains[0].stiffness[3:, 3:])
-
-
-@mistake("stiffness of subdomain 0", "float32", "astype(numpy.float64)")
-def stiffness_in_single_precision(system):
-    return first(system, stiffness=system.subdomains[0].stiffness.astype(np.float32))
-
-
-@mistake("stiffness of subdomain 0", "1 of", "NaN", "material")
-def stiffness_with_nan(system):
-    K = system.subdomains[0].stiffness
-    return first(system, stiffness=sp.csr_matrix((changed(K.data, 7, np.nan), K.indices, K.indptr)))
-
-
-@mistake("stiffness of subdomain 0", "not symmetric", "symmetric form")
-def stiffness_that_is_not_symmetric(system):
-    K = system.subdomains[0].stiffness.copy()
-    K[0, 1] += 1e-3
-    return first(system, stiffness=K)
-
-
-@mistake("stiffness of subdomain 0", "192 of 192 diagonal", "component 0", "positive moduli")
-def negative_stiffness(system):
-    return first(system, stiffness=-system.subdomains[0].stiffness)
-
-
-@mistake("stiffness of subdomain 0", "3 of 192 diagonal", "vertex")
-def node_without_cells(system):
-    K = system.subdomains[0].stiffness.tolil()
-    K[3:6, :] = 0.0
-    K[:, 3:6] = 0.0
-    return first(system, stiffness=K.tocsr())
-
-
-@mistake("stiffness of subdomain 0", "not a valid csr matrix", "192")
-def stiffness_with_indices_beyond_its_shape(system):
-    K = system.subdomains[0].stiffness.copy()
-    K.indices[-1] = 1000
-    return first(system, stiffness=K)
-
-
-@mistake("stiffness of subdomain 0", "2 parts", "subdomain of its own")
-def subdomain_in_two_parts(system):
+def with_second_part(system: TornSystem) -> TornSystem:
+    """Join a cube far away to the rank's first subdomain."""
     one, other = system.subdomains[0], cube(3, (0, 0, 7), first=7 * 10**9)
     both = Subdomain(
         sp.block_diag([one.stiffness, other.stiffness], format="csr"),
@@ -261,265 +200,69 @@ def subdomain_in_two_parts(system):
         np.concatenate([one.nodes, other.nodes]),
         one.body,
     )
-    return dataclasses.replace(system, subdomains=[both, *system.subdomains[1:]])
+    return replace(system, subdomains=[both, *system.subdomains[1:]])
 
 
-# -- bodies ----------------------------------------------------------------------------------------
+def with_local_numbers(system: TornSystem) -> TornSystem:
+    local = [replace(s, nodes=np.arange(s.nodes.size)) for s in system.subdomains]
+    return replace(system, subdomains=local, prescribed=Prescribed(), contacts=ContactRows.none(3))
 
 
-def with_extra_cube(system: TornSystem, nodes_shared: int) -> TornSystem:
-    """Add a cube to the rank's first body that shares some nodes of a vertical edge."""
-    one = system.subdomains[0]
-    extra = cube(3, (1, 1, 0), body=one.body, first=7 * 10**9)
-    offset = np.array([0.0, 0.0, one.coordinates[:, 2].min()])
-    coordinates = extra.coordinates + offset
-    nodes = extra.nodes.copy()
-    for k in range(nodes_shared):
-        place = np.array([1.0, 1.0, k / 3]) + offset
-        at = np.argmin(np.linalg.norm(coordinates - place, axis=1))
-        nodes[at] = one.nodes[np.argmin(np.linalg.norm(one.coordinates - place, axis=1))]
-    extra = dataclasses.replace(extra, nodes=nodes, coordinates=coordinates)
-    return dataclasses.replace(system, subdomains=[*system.subdomains, extra])
+def without_cells(K: sp.csr_matrix) -> sp.csr_matrix:
+    K = K.tolil()
+    K[3:6, :] = 0.0
+    K[:, 3:6] = 0.0
+    return K.tocsr()
 
 
-@mistake("er: 1 of its", "share no node", "body number of its own")
-def body_in_two_parts(system):
-    return with_extra_cube(system, 0)
+def skewed(K: sp.csr_matrix) -> sp.csr_matrix:
+    return (K + sp.csr_matrix(([1e-3], ([0], [1])), shape=K.shape)).tocsr()
 
 
-@mistake("hinged", "share too few nodes", "3 that are not on a line")
-def body_hinged_at_a_node(system):
-    return with_extra_cube(system, 1)
-
-
-@mistake("hinged", "share too few nodes", "body number of its own")
-def body_hinged_along_an_edge(system):
-    return with_extra_cube(system, 4)
-
-
-# -- prescribed displacements ----------------------------------------------------------------------
-
-
-@mistake("prescribed.components", "not in [0, 3)", "-1")
-def negative_component(system):
-    return prescribed(system, components=changed(system.prescribed.components, 0, -1))
-
-
-@mistake("prescribed.components", "not in [0, 3)", "is 3")
-def component_that_is_too_large(system):
-    return prescribed(system, components=changed(system.prescribed.components, 0, 3))
-
-
-@mistake("prescribed.nodes", "-1", "position 0")
-def prescribed_node_that_is_negative(system):
-    return prescribed(system, nodes=changed(system.prescribed.nodes, 0, -1))
-
-
-@mistake("node 777", "no subdomain")
-def prescribed_node_of_no_subdomain(system):
-    return prescribed(system, nodes=changed(system.prescribed.nodes, 0, 777))
-
-
-@mistake("prescribed.values", "(1,)", "expected (80,)")
-def prescribed_values_of_a_wrong_length(system):
-    return prescribed(system, values=[0.0])
-
-
-@mistake("prescribed.condition", "(1,)", "expected (80,)")
-def prescribed_conditions_of_a_wrong_length(system):
-    return prescribed(system, condition=[0])
-
-
-@mistake("prescribed.condition", "not in [0, ", "-1")
-def negative_condition(system):
-    return prescribed(system, condition=changed(system.prescribed.condition, 0, -1))
-
-
-@mistake("condition_names", "str", "list of strings")
-def condition_names_that_are_one_string(system):
-    return dataclasses.replace(system, condition_names="clamped")
-
-
-@mistake("prescribed displacements", "NaN")
-def prescribed_value_nan(system):
-    return prescribed(system, values=changed(system.prescribed.values, 0, np.nan))
-
-
-@mistake("prescribed", "NoneType", "Prescribed()")
-def no_prescribed_displacements(system):
-    return dataclasses.replace(system, prescribed=None)
-
-
-# -- contact rows ----------------------------------------------------------------------------------
-
-
-@mistake("contacts.nodes", "1 of 32", "-1", "position 0")
-def row_with_a_negative_node(system):
-    return contacts(system, nodes=changed(system.contacts.nodes, 0, -1))
-
-
-@mistake("contacts.nodes", "2 rows name a node twice", "row 2 (joint)", "Add up")
-def rows_with_a_node_twice(system):
-    nodes = system.contacts.nodes.copy()
+def nodes_twice(nodes: np.ndarray) -> np.ndarray:
+    nodes = nodes.copy()
     nodes[[5, 9]] = nodes[[4, 8]]
-    return contacts(system, nodes=nodes)
+    return nodes
 
 
-@mistake("node 777", "no subdomain")
-def row_with_a_node_of_no_subdomain(system):
-    return contacts(system, nodes=changed(system.contacts.nodes, 0, 777))
+NOTHING = {"nodes": [], "load": [], "coordinates": np.zeros((0, 3))}
+VANISHES = "sum of the slave's coefficients vanishes in 1 rows"
 
-
-@mistake("contacts.nodes", "(32, 1)", "expected (k,)")
-def nodes_in_a_column(system):
-    return contacts(system, nodes=system.contacts.nodes[:, None])
-
-
-@mistake("contacts.slaves", "1 rows", "row 0 (joint)", "with 9")
-def more_slave_terms_than_terms(system):
-    return contacts(system, slaves=changed(system.contacts.slaves, 0, 9))
-
-
-@mistake("contacts.nodes", "float64", "integers")
-def nodes_of_rows_that_are_no_integers(system):
-    return contacts(system, nodes=system.contacts.nodes + 0.5)
-
-
-@mistake("contacts.offsets", "from 0 to 32", "31 nodes")
-def nodes_of_a_wrong_length(system):
-    return contacts(system, nodes=system.contacts.nodes[1:])
-
-
-@mistake("contacts.offsets", "from 1 to 32", "first has to be 0")
-def offsets_that_begin_with_one(system):
-    return contacts(system, offsets=changed(system.contacts.offsets, 0, 1))
-
-
-@mistake("contacts.offsets", "(16,)", "expected (17,)")
-def offsets_without_the_end(system):
-    return contacts(system, offsets=system.contacts.offsets[:-1])
-
-
-@mistake("contacts.offsets", "not ascending", "from 8 to 6", "row 4 (joint)", "positions")
-def offsets_that_descend(system):
-    return contacts(system, offsets=changed(system.contacts.offsets, 5, 6))
-
-
-@mistake("contacts.offsets", "1 rows have no terms", "row 5 (joint)", "Leave them out")
-def row_without_terms(system):
-    return contacts(system, offsets=changed(system.contacts.offsets, 6, 10))
-
-
-@mistake("contacts.coefficients", "(3,)", "expected (32, 3)")
-def one_coefficient_for_all(system):
-    return contacts(system, coefficients=[0.0, 0.0, -1.0])
-
-
-@mistake(
-    "contacts.coefficients",
-    "sum of the slave's coefficients vanishes in 1 rows",
-    "row 4 (joint)",
-    "normal",
-)
-def slave_without_coefficient(system):
-    values = changed(system.contacts.coefficients, 8, [0.0, 0.0, 1e-13])
-    return contacts(system, coefficients=values)
-
-
-@mistake("contacts.coefficients", "NaN")
-def coefficient_with_nan(system):
-    return contacts(system, coefficients=changed(system.contacts.coefficients, 4, np.nan))
-
-
-@mistake("contacts.gap", "1 of 16", "NaN or -inf", "+inf")
-def gap_of_minus_infinity(system):
-    return contacts(system, gap=changed(system.contacts.gap, 4, -np.inf))
-
-
-@mistake("contacts.gap", "1 of 16", "NaN")
-def gap_that_is_nan(system):
-    return contacts(system, gap=changed(system.contacts.gap, 4, np.nan))
-
-
-@mistake("contacts.contact", "-1")
-def contact_number_that_is_negative(system):
-    return contacts(system, contact=changed(system.contacts.contact, 4, -1))
-
-
-@mistake("contacts.contact", "1000000000", "16 contact rows", "0, 1, ...")
-def contact_number_that_is_too_large(system):
-    return contacts(system, contact=changed(system.contacts.contact, 4, 10**9))
-
-
-@mistake("contacts", "NoneType", "ContactRows.none")
-def no_contact_rows(system):
-    return dataclasses.replace(system, contacts=None)
-
-
-# -- tied rows -------------------------------------------------------------------------------------
-
-
-def tied(system: TornSystem, **fields: Any) -> TornSystem:
-    """Tie the nodes of the contact along x, with some fields of the rows changed."""
-    rows = dataclasses.replace(system.contacts, coefficients=system.contacts.coefficients[:, ::-1])
-    return dataclasses.replace(system, tied=dataclasses.replace(rows, **fields))
-
-
-@mistake("tied.gap", "1 of 16", "NaN or infinite", "nothing to tie to")
-def tied_row_with_an_infinite_gap(system):
-    return tied(system, gap=changed(system.contacts.gap, 4, np.inf))
-
-
-@mistake("tied.nodes", "1 rows name a node twice", "row 2 (joint)")
-def tied_row_with_a_node_twice(system):
-    nodes = system.contacts.nodes
-    return tied(system, nodes=changed(nodes, 5, nodes[4]))
-
-
-@mistake("tied.coefficients", "sum of the slave's coefficients vanishes in 1 rows", "row 0 (joint)")
-def tied_row_without_a_direction(system):
-    values = system.contacts.coefficients[:, ::-1]
-    return tied(system, coefficients=changed(values, 0, 0.0))
-
-
-@mistake("tied.offsets", "(16,)", "expected (17,)")
-def tied_offsets_without_the_end(system):
-    return tied(system, offsets=system.contacts.offsets[:-1])
-
-
-@mistake("tied.contact", "1000000000", "0, 1, ...")
-def tied_pair_with_a_number_that_is_too_large(system):
-    return tied(system, contact=changed(system.contacts.contact, 4, 10**9))
-
-
-@mistake("node 777", "no subdomain")
-def tied_node_of_no_subdomain(system):
-    return tied(system, nodes=changed(system.contacts.nodes, 0, 777))
-
-
-@mistake("tied", "NoneType", "ContactRows")
-def tied_rows_that_are_none(system):
-    return dataclasses.replace(system, tied=None)
-
-
-# -- the system ------------------------------------------------------------------------------------
-
-
-@mistake("gdim", "4", "2 or 3")
-def four_dimensions(system):
-    return dataclasses.replace(system, gdim=4)
-
-
-@mistake("gdim", "3.0", "2 or 3")
-def dimension_that_is_no_integer(system):
-    return dataclasses.replace(system, gdim=3.0)
-
-
-@mistake("body_names", "str", "list of strings")
-def one_name_for_all_bodies(system):
-    return dataclasses.replace(system, body_names="lower")
-
-
-@mistake("contact_names", "int", "strings")
-def contact_name_that_is_a_number(system):
-    return dataclasses.replace(system, contact_names=[1])
+MISTAKES: list[Mistake] = [
+    *SUBDOMAIN,
+    *PRESCRIBED,
+    *CONTACTS,
+    *SYSTEM,
+    (first(**NOTHING, stiffness=sp.csr_matrix((0, 0))), "nodes of subdomain 0", "none", "out"),
+    (first(frame=2 * np.eye(3)), "frame of subdomain 0", "|T T' - I| = 3.000e+00", "orthogonal"),
+    (first(stiffness=skewed), "stiffness of subdomain 0", "not symmetric", "symmetric form"),
+    (first(stiffness=without_cells), "stiffness of subdomain 0", "3 of 192 diagonal", "vertex"),
+    (with_local_numbers, "glued nodes", "different places", "global"),
+    (with_second_part, "stiffness of subdomain 0", "2 parts", "subdomain of its own"),
+    (with_extra_cube(0), "er: 1 of its", "share no node", "body number of its own"),
+    (with_extra_cube(1), "hinged", "share too few nodes", "3 that are not on a line"),
+    (with_extra_cube(4), "hinged", "share too few nodes", "body number of its own"),
+    (
+        rows(nodes=nodes_twice),
+        "contacts.nodes",
+        "2 rows name a node twice",
+        "row 2 (joint)",
+        "Add up",
+    ),
+    (rows(nodes=lambda n: n[1:]), "contacts.offsets", "from 0 to 32", "31 nodes"),
+    (rows(offsets=at(5, 6)), "not ascending", "from 8 to 6", "row 4 (joint)", "positions"),
+    (rows(offsets=at(6, 10)), "1 rows have no terms", "row 5 (joint)", "Leave them out"),
+    (
+        rows(coefficients=at(8, [0, 0, 1e-13])),
+        "contacts.coeff",
+        VANISHES,
+        "row 4 (joint)",
+        "normal",
+    ),
+    (tied(gap=at(4, np.inf)), "tied.gap", "1 of 16", "NaN or infinite", "nothing to tie to"),
+    (tied(nodes=nodes_twice), "tied.nodes", "2 rows name a node twice", "row 2 (joint)"),
+    (tied(nodes=at(0, 777)), "node 777", "no subdomain"),
+    (tied(coefficients=at(0, 0.0)), "tied.coefficients", VANISHES, "row 0 (joint)"),
+    (tied(offsets=lambda n: n[:-1]), "tied.offsets", "(16,)", "expected (17,)"),
+    (tied(contact=at(4, 10**9)), "tied.contact", "1000000000", "0, 1, ..."),
+]
