@@ -179,6 +179,14 @@ def test_last_iterate_of_a_limit_is_no_finished_step(path):
     with pytest.raises(NotConverged):
         problem.solve(checkpoint=path)
     assert path.read_bytes() == kept
+    # nor does the next solve count the passes of one that failed
+    problem.geometry, disc.height = replace(problem.geometry, max_passes=2), HEIGHTS[-1]
+    with pytest.raises(NotConverged):
+        problem.solve()
+    failed = problem.report.passes
+    problem.geometry = replace(problem.geometry, max_passes=40)
+    problem.solve()
+    assert len(failed) == 2 and failed[0] not in problem.report.passes
 
 
 def test_checkpoints_that_cannot_be_restored(path, saved):

@@ -251,6 +251,24 @@ def test_light_body_beside_a_heavy_one_closes_its_gaps():
 # -- friction --------------------------------------------------------------------------------------
 
 
+def test_curvature_of_forces_that_turn():
+    """Second derivative of -v't on the circle of t, v along t; forces that stick do not turn."""
+    problem, rng = TornSolver(pushed_block(), Options()).dual_problem(), np.random.default_rng(0)
+    friction, radius = problem.constraints.friction, problem.radius
+    slipping = np.arange(friction.size) % 2 == 1
+    direction = balls.directions(rng.standard_normal((friction.size, 2)))
+    forces = (np.where(slipping, 2.0, 0.5) * radius)[:, None] * direction
+    slips = rng.uniform(1.0, 2.0, friction.size)[:, None] * direction
+    slips[1] *= -1.0  # against the force
+    found = ContactState.of(
+        problem, friction.with_sites(np.zeros_like(problem.d), forces), slips=slips
+    )
+    np.testing.assert_array_equal(found.sticking, ~slipping)
+    expected = np.where(slipping, np.linalg.norm(slips, axis=1) / radius, 0.0)
+    expected[1] = 0.0
+    np.testing.assert_allclose(found.curvature, expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
 def test_face_with_forces_that_turn_is_a_linear_problem(preconditioner):
     """Minimise 1/2 l'(F + S_D)l - d'l, G l = e, l the given forces but for S l."""

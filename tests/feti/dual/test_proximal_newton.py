@@ -43,11 +43,11 @@ def minimum(problem, multipliers):
     return multipliers @ (0.5 * problem.F(multipliers) - problem.d)
 
 
-def by_newton(solver, rtol):
+def by_newton(solver, rtol, max_products=20_000):
     """Solve the dual problem of a solver by this method alone, from nothing."""
     problem = solver.dual_problem()
     tolerance = rtol * np.sqrt(problem.unit) * np.linalg.norm(problem.d)
-    turn = Turn(tolerance, 20_000, Products(), lambda step: None)
+    turn = Turn(tolerance, max_products, Products(), lambda step: None)
     found = proximal_newton(problem, Iterate(np.zeros_like(problem.d)), turn)
     return problem, found
 
@@ -77,3 +77,22 @@ def test_rows_that_are_free_without_bounds_have_no_proximal_term():
     term = found.newton.contact_state.proximal
     assert not term.centre[problem.constraints.equality].any()
     np.testing.assert_allclose(found.newton.gradient[problem.constraints.equality], 0.0, atol=1e-8)
+
+
+def test_products_on_faces_are_no_part_of_the_turn(monkeypatch):
+    """The limit grows by those that were spent there, and no more."""
+    limits, solve = [], newton_module._solve_proximal
+
+    def spend(problem, start, turn):
+        turn.products.cg += 7
+        return replace(start, status=SolveStatus.STALLED)
+
+    def watch(*arguments):
+        limits.append(arguments[-1].max_products)
+        return solve(*arguments)
+
+    monkeypatch.setattr(newton_module, "primal_dual_active_set", spend)
+    monkeypatch.setattr(newton_module, "_solve_proximal", watch)
+    by_newton(TornSolver(pulled_strip(), Options()), 1e-8, max_products=2_000)
+    assert len(limits) > 1
+    np.testing.assert_array_equal(np.diff(limits), 7)
