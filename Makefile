@@ -15,7 +15,7 @@ PYTHON ?= python3
 
 .DEFAULT_GOAL := help
 .PHONY: help env env-wheel lock demo demos demo-runs dist test test-wheel test-debian13 test-latest \
-	test-installed fuzz doctest verify check format docs clean
+	test-installed fuzz verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -35,7 +35,7 @@ demo: env  ## two beams in contact; writes to results/
 demos: env  ## all demos; write to results/
 	for demo in demos/*.py; do $(PY) $$demo || exit 1; done
 
-test: env  ## doctests, serial tests, then the MPI tests on 2 and 3 ranks
+test: env  ## serial tests, then the MPI tests on 2 and 3 ranks
 	@MARKS="$(MARKS)" MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv
 
 test-wheel: env-wheel  ## what depends on the environment, with the dolfinx wheel
@@ -53,9 +53,6 @@ test-latest:  ## the tests with the newest releases of all packages; reports, an
 
 fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
-
-doctest: env  ## the examples in the docstrings
-	$(PY) -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 
 verify: env  ## the tests marked heavy, on several ranks those for them
 	@MARKS=heavy MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv

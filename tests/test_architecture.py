@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import graphlib
 import sys
 from pathlib import Path
@@ -51,8 +52,12 @@ def name_of(file: Path) -> str:
 
 
 FILES = {name_of(file): file for file in sorted(PACKAGE.rglob("*.py"))}
-TREES = {name: ast.parse(file.read_text()) for name, file in FILES.items()}
 MODULES = sorted(FILES)
+
+
+@functools.cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse(FILES[module].read_text())
 
 
 def in_layer(layer: str) -> list[str]:
@@ -75,16 +80,20 @@ def imports(tree: ast.Module, top_only: bool = False) -> set[str]:
 
 def source(module: str, name: str) -> str:
     """Return the module in which a name is defined that a package may only pass on."""
-    for node in TREES[module].body:
+    for node in tree_of(module).body:
         if isinstance(node, ast.ImportFrom) and name in {alias.name for alias in node.names}:
             return source(node.module, name) if node.module in FILES else node.module
     return module
 
 
-GRAPH = {
-    name: {other for other in imports(tree) if other.split(".")[0] == "fenics_tfeti"}
-    for name, tree in TREES.items()
-}
+@functools.cache
+def graph() -> dict[str, set[str]]:
+    """Return the modules of the package that each module imports."""
+    found = {name: imports(tree_of(name)) for name in MODULES}
+    return {
+        name: {other for other in others if other.split(".")[0] == "fenics_tfeti"}
+        for name, others in found.items()
+    }
 
 
 def roots(modules: set[str]) -> set[str]:
@@ -107,8 +116,8 @@ def test_layers_have_modules():
 def test_imports_are_absolute():
     wrong = [
         name
-        for name, tree in TREES.items()
-        for node in ast.walk(tree)
+        for name in MODULES
+        for node in ast.walk(tree_of(name))
         if isinstance(node, ast.ImportFrom) and node.level
     ]
     assert not wrong, listed(wrong)
@@ -119,7 +128,7 @@ def test_layers_are_imported_downwards():
         (name, other)
         for layer, (allowed, _) in LAYERS.items()
         for name in in_layer(layer)
-        for other in sorted(GRAPH[name])
+        for other in sorted(graph()[name])
         if other.split(".")[1] not in allowed | {layer}
     ]
     assert not wrong, listed(wrong)
@@ -133,7 +142,7 @@ def test_libraries_that_a_layer_needs():
         for layer, (_, outside) in LAYERS.items()
         if outside is not None
         for name in in_layer(layer)
-        for library in sorted(roots(imports(TREES[name], top_only=True)) - always - outside)
+        for library in sorted(roots(imports(tree_of(name), top_only=True)) - always - outside)
     ]
     assert not wrong, listed(wrong)
 
@@ -147,7 +156,7 @@ def test_only_fem_imports_finite_element_libraries():
     wrong = [
         name
         for name in MODULES
-        if name not in others and roots(imports(TREES[name])) & FINITE_ELEMENTS
+        if name not in others and roots(imports(tree_of(name))) & FINITE_ELEMENTS
     ]
     assert not wrong, listed(wrong)
 
@@ -160,7 +169,7 @@ def test_fem_knows_only_the_data_files_timer_and_tolerances_of_feti():
     wrong = [
         (name, node.module, alias.name)
         for name in in_layer("fem")
-        for node in ast.walk(TREES[name])
+        for node in ast.walk(tree_of(name))
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("fenics_tfeti.feti")
         for alias in node.names
         if source(node.module, alias.name) not in known and alias.name not in solution
@@ -173,7 +182,7 @@ def test_subpackages_of_feti_are_imported_downwards():
         (name, other)
         for place, package in enumerate(FETI_ORDER)
         for name in in_layer(f"feti.{package}")
-        for other in sorted(GRAPH[name])
+        for other in sorted(graph()[name])
         if other.startswith("fenics_tfeti.feti.")
         and other.split(".")[2]
         not in FETI_BASE | FETI_OWN.get(package, set()) | set(FETI_ORDER[: place + 1])
@@ -182,7 +191,7 @@ def test_subpackages_of_feti_are_imported_downwards():
 
 
 def test_no_modules_import_each_other():
-    graphlib.TopologicalSorter(GRAPH).prepare()
+    graphlib.TopologicalSorter(graph()).prepare()
 
 
 def test_only_the_adapter_asks_for_versions():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import logging
+import os
 import re
 import subprocess
 import sys
@@ -22,6 +23,7 @@ import literate
 import numpy as np
 import pytest
 import scenes
+from demo_runner import UNRENDERED
 
 import ufl
 from dolfinx import fem
@@ -78,6 +80,14 @@ def check_output(shown: str, printed: str) -> None:
             continue
         numbers = [np.array(NUMBER.findall(line), dtype=float) for line in (one, other)]
         np.testing.assert_allclose(numbers[1], numbers[0], rtol=0.02, atol=ROUNDING, err_msg=one)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _pictures_are_not_rendered():
+    """Check the data of pictures of deformed meshes, as for demos."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(UNRENDERED), prepend=os.pathsep)
+        yield
 
 
 @pytest.fixture

@@ -37,7 +37,8 @@ def factored(monkeypatch):
     return begun
 
 
-@pytest.mark.ranks
+# the page has the messages of one rank
+@pytest.mark.ranks(2)
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake(mistake, factored):
     with pytest.raises(fenics_tfeti.ContactError) as raised:

@@ -13,8 +13,6 @@ export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1
 find "${XDG_CACHE_HOME:-$HOME/.cache}/fenics" -name 'libffcx_*.c' -mmin +5 2>/dev/null |
     while read -r source; do [ -e "$source.cached" ] || rm -f "$source"; done || true
 
-echo "== $1: doctests"
-"$python" -m pytest -q --doctest-modules fenics_tfeti/qp fenics_tfeti/feti
 echo "== $1: serial tests"
 # A file is run by one process, since its tests share what they have solved.
 "$python" -m pytest tests --ignore=tests/mpi -m "$marks" -n auto --maxprocesses=4 --dist=loadfile \

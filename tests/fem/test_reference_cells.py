@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import doctest
 from itertools import pairwise
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 import basix
 
-from fenics_tfeti.fem import reference_cells
 from fenics_tfeti.fem.contact.mortar.facets import reference_nodes
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
 
@@ -25,11 +23,6 @@ def basix_cell(name):
 
 def vertices_of(name):
     return basix.geometry(basix_cell(name))
-
-
-def test_example_of_the_docstring():
-    failed, tried = doctest.testmod(reference_cells)
-    assert (failed, tried > 0) == (0, True)
 
 
 @every_cell

@@ -130,9 +130,8 @@ def cube_stiffness():
 
 
 @both_methods
-@pytest.mark.parametrize("stiffness", [1e-13, 1e-9, 1e-4, 1e-2])
 @pytest.mark.parametrize("problem", [lambda s: glued_column(s, 2), pressed_column, standing_cube])
-def test_products_do_not_grow(problem, stiffness, method):
+def test_products_do_not_grow(problem, method):
     """Compared with springs that are as good as rigid.
 
     SMALBE-M updates mu for motions that are resisted neither well nor softly, which takes it outer
@@ -140,7 +139,8 @@ def test_products_do_not_grow(problem, stiffness, method):
     """
     factor = 1.5 if method == "active_set" else 2.0
     enough = max(products(problem(1e3), method), 6)
-    assert products(problem(stiffness), method) <= factor * enough
+    for stiffness in (1e-13, 1e-9, 1e-4, 1e-2):
+        assert products(problem(stiffness), method) <= factor * enough, stiffness
 
 
 @pytest.mark.ranks(2)

@@ -381,7 +381,7 @@ def _set_up(problem: MeshProblem, comm: MPI.Comm) -> Scene:
         )
     scene = Scene.of_boxes(comm, problem.cell, parts, marks, degree=problem.degree)
     young, weight = _constant_in_cells(scene), _constant_in_cells(scene, gdim)
-    _fill(problem, scene.mesh, scene.cell_tags, young, weight)
+    _fill(problem, scene.cell_tags, young, weight)
     poisson = scene.constant(problem.poisson)
     scene.a = elasticity(scene.u, scene.v, young, poisson=poisson)
     traction_tags, traction = _tractions(problem, scene)
@@ -413,7 +413,7 @@ def _constant_in_cells(scene: Scene, components: int = 0) -> Any:
     return fem.Function(_compat.lagrange_space(scene.mesh, 0, components, discontinuous=True))
 
 
-def _fill(problem: MeshProblem, mesh: Mesh, cell_tags: Any, young: Any, weight: Any) -> None:
+def _fill(problem: MeshProblem, cell_tags: Any, young: Any, weight: Any) -> None:
     """Set Young's modulus and the body force cell by cell; every second layer has the jump."""
     gdim = problem.gdim
     middle = young.function_space.tabulate_dof_coordinates()

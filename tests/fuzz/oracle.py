@@ -30,7 +30,6 @@ from scipy.sparse.csgraph import connected_components
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
-Long = NDArray[np.longdouble]
 
 __all__ = ["Answer", "Unsure", "Verdict", "infeasibility", "solve"]
 

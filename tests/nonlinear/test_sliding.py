@@ -42,7 +42,7 @@ def test_ironing_with_friction():
     np.testing.assert_allclose(reaction, [0.068950, -0.227359], atol=5e-6)
 
 
-@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
+@pytest.mark.parametrize("loads", [[1.0], pytest.param([0.5, 1.0], marks=heavy)])
 def test_beam(loads):
     scene = beam(newton_rtol=1e-7, subdomain_size=100)
     scene.solve(loads)
@@ -71,7 +71,7 @@ def elastica(thickness, height=1.0):
     return 0.5 * p * thickness**3 / 12.0 / (1.0 - 0.3**2)
 
 
-@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
+@pytest.mark.parametrize("loads", [[1.0], pytest.param([0.5, 1.0], marks=heavy)])
 def test_ring_is_an_elastica(loads):
     scene = ring(subdomain_size=100)
     scene.solve(loads)

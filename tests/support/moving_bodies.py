@@ -58,7 +58,7 @@ class Motion:
 SPEED = 1e-3  # of the bar that moves, where waves have 1
 
 
-def two_bars(n, courant, alpha=-0.05, comm=MPI.COMM_SELF, options=None, redistributed=True):
+def two_bars(n, courant, alpha=-0.05, comm=MPI.COMM_SELF, options=None):
     """Return two equal bars of length, modulus and density 1, the left one moving to the right.
 
     And the momentum of each, and the thickness of the bars.
@@ -71,7 +71,7 @@ def two_bars(n, courant, alpha=-0.05, comm=MPI.COMM_SELF, options=None, redistri
     tags = tag_facets(mesh, ends, bodies.cell_tags)
     V, dx = displacement_space(mesh), ufl.Measure("dx", mesh, subdomain_data=bodies.cell_tags)
     contacts = [ContactPair(tags, 1, 2)]
-    rho = redistributed_density(mesh, 1.0, contacts) if redistributed else fem.Constant(mesh, 1.0)
+    rho = redistributed_density(mesh, 1.0, contacts)
     motion = Motion(
         lambda a, L: ContactProblem(a, L, contacts=contacts, options=options),
         lambda u, w: ufl.inner(small_strain(u), small_strain(w)) * dx((1, 2)),

@@ -28,7 +28,7 @@ KEPT = ["factors", "coarse problem", "norm", "multipliers"]
 fine = pytest.param(200, 0.5, 1000, marks=[pytest.mark.heavy, pytest.mark.once])
 
 
-@pytest.mark.parametrize(("n", "courant", "steps"), [(40, 0.5, 200), fine])
+@pytest.mark.parametrize(("n", "courant", "steps"), [(40, 0.5, 184), fine])
 def test_two_bars_exchange_their_velocities(n, courant, steps):
     """The contact ends when the waves come back, at 2L/c, with the force rho c v / 2 till then."""
     motion, momenta, h = two_bars(n, courant)
@@ -56,14 +56,6 @@ def test_momentum_and_energy_without_damping():
         motion.step()
         assert sum(motion.total(m) for m in momenta) == pytest.approx(h * SPEED, rel=1e-6)
         assert motion.energy == pytest.approx(h * SPEED**2 / 2, rel=0.005)
-
-
-def test_mass_at_the_contact_makes_energy():
-    """Why it is taken away: nodes rebound from each other, and forces oscillate."""
-    motion, _, h = two_bars(20, 1.0, alpha=0.0, redistributed=False)
-    forces = [motion.step() for _ in range(40)]
-    assert motion.energy > 2 * (h * SPEED**2 / 2)
-    assert np.count_nonzero(np.diff(np.array(forces) > 0.0)) > 10
 
 
 @pytest.mark.ranks(2)
