@@ -156,16 +156,21 @@ class Preconditioner:
             return kernel, np.zeros((0, kernel.shape[1])), np.zeros((0, 1))
         _, first, at = np.unique(site[turning], return_index=True, return_inverse=True)
         places, shape = (at.ravel(), turning), (first.size, site.size)
-        fixed = sp.csr_matrix((along[turning], places), shape) @ kernel
-        moved = sp.csr_matrix((turns[turning], places), shape) @ kernel
-        free = null_space(fixed, rcond=ZERO)
-        return kernel @ free, moved @ free, curvature[turning[first]][:, None]
+        fixed = _without_rounding(sp.csr_matrix((along[turning], places), shape) @ kernel)
+        kernel = kernel @ null_space(fixed, rcond=ZERO)
+        moved = _without_rounding(sp.csr_matrix((turns[turning], places), shape) @ kernel)
+        return kernel, moved, curvature[turning[first]][:, None]
 
     def _inverse_of(self, chosen: Mask) -> GramInverse:
         """Factor W_RR, unless R is the same as last."""
         if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):
             self._inverse = self.constraints.coupling.inverse(chosen)
         return self._inverse
+
+
+def _without_rounding(x: Vector) -> Vector:
+    """Return combinations of unit vectors, with zeros for those that cancel up to rounding."""
+    return np.where(np.abs(x) > ZERO, x, 0.0)
 
 
 @dataclass(frozen=True)

@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 import scipy.linalg
 from dense import DenseSystem
+from friction_problems import in_a_corner
 from sparse_rows import clamped, interpolated, random_rows, two_blocks
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.dual.preconditioner import Choice
+from fenics_tfeti.qp import balls
 
 
 def sliding_column():
@@ -137,6 +139,29 @@ def test_what_it_maps_to_zero_is_the_kernel_of_the_rows(seed):
     assert not part[~on_face].any()
     zero = preconditioner.on_face(rows)(part)
     np.testing.assert_allclose(zero, 0.0, atol=1e-8 * np.abs(B).max())
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_forces_that_turn_by_rounding_do_not_see_the_kernel(seed):
+    """Rows of floor and wall that depend on each other act along z and y at the edge of both.
+
+    Forces of the floor along y turn along x. In tangents at any angle rounding leaves something of
+    what vanishes; with its square as Hessian the preconditioner would be 10^30.
+    """
+    solver = TornSolver(in_a_corner(seed), Options(preconditioner="lumped"))
+    constraints, preconditioner = solver.setup.constraints, solver.setup.preconditioner
+    friction, on_floor = constraints.friction, constraints.friction.contact == 0
+    active = constraints.contact == 0
+    # the component along y of each tangent of the floor
+    tangents = np.where(on_floor[:, None], solver.system.friction.tangents[:, :, 1], 0.0)
+    across = balls.tangents(balls.directions(tangents))
+    rows = constraints.face(active, ~on_floor) | friction.on_rows(on_floor, constraints.size)
+    curvature = np.where(on_floor, 1.0, 0.0)
+    assert preconditioner.on_kernel(rows, across, curvature, 0.0) is None
+    # forces along x turn along y, where those of the wall stick: the kernel is seen
+    turned = preconditioner.on_kernel(rows, balls.tangents(across), curvature, 0.0)
+    x = np.random.default_rng(seed).standard_normal(constraints.size)
+    assert 0.0 < np.abs(turned(x)).max() <= 10.0
 
 
 @pytest.mark.parametrize(("kind", "limit"), [("lumped", 3.0), ("dirichlet", 2.3)])
