@@ -55,7 +55,7 @@ class Options:
         Penalty (relative to ||PFP||), initial balance, its reduction, and the limit of the inner
         gradient relative to ||b|| in SMALBE-M, theorem 11.2.
     smalbe_max_it : int
-        Limit on the outer iterations of SMALBE-M.
+        Limit on the outer iterations of SMALBE-M, with Coulomb's law of each step.
     smalbe_patience : int
         Outer iterations in a row that do not halve ||Gx||, after which SMALBE-M counts as slow.
     mprgp_gamma, mprgp_alpha : float

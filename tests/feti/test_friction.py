@@ -328,6 +328,30 @@ def test_no_bound_is_no_friction():
     assert not found.sticking.any()
 
 
+@pytest.mark.parametrize("bound", [1e-8, 1e-9, 1e-10])
+def test_force_that_a_slip_out_of_proportion_turns(bound):
+    """The curvature of its cost, |slip| / bound, is up to 10^14 times the compliance of bodies."""
+    system, given, site = pushed_block(), np.array([600.0, 800.0]), 4
+    bounds, slips = system.friction.bound.copy(), np.zeros((system.friction.size, 2))
+    bounds[site], slips[site] = bound, given
+
+    def solve(bounds, slips):
+        friction = dataclasses.replace(system.friction, bound=bounds, slip=slips)
+        options = Options(rtol=1e-9)
+        return TornSolver(dataclasses.replace(system, friction=friction), options).solve()
+
+    solution = solve(bounds, slips)
+    force = solution.tangential_force[site]
+    # the slip of the bodies, which adds to the given one, is about 0.1
+    np.testing.assert_allclose(force, -bound * given / 1e3, rtol=1e-3)
+    bounds[site] = 0.0
+    without = solve(bounds, np.zeros_like(slips))
+    for u, exact in zip(solution.displacements, without.displacements, strict=True):
+        np.testing.assert_allclose(u, exact, atol=100.0 * bound + 1e-8)
+    # the first faces take the site as one that sticks
+    assert solution.report.products["total"] <= 2.5 * without.report.products["total"]
+
+
 def test_large_bound_ties_tangentially():
     system = dataclasses.replace(held_block(bound=1e3))
     found = TornSolver(system, Options(rtol=1e-8)).solve()

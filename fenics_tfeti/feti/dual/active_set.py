@@ -297,8 +297,11 @@ def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient
     along = balls.directions(friction.at_sites(contact_state.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
     active, sticking = contact_state.active, contact_state.sticking
+    # forces that slips out of all proportion turn keep their directions on a face: rounding would
+    # exceed what they turn by, and in the next face ZERO of the angle is left
+    stiff = ZERO * problem.unit * contact_state.curvature > 1.0
     while True:
-        tangent = friction.across(contact_state.forces, sticking)
+        tangent = friction.across(contact_state.forces, sticking | stiff)
         projector = Projector.build(coarse_space, active, sticking, tangent)
         contact_state = replace(contact_state, active=active, sticking=sticking)
         work = projector.unresisted(_load(problem, contact_state), problem.e_size)

@@ -76,14 +76,13 @@ class Iterate:
     # active sets (i,) on which the active set method went round in circles
     circle: tuple[Mask, ...] = ()
 
-    def at_multipliers(self) -> Iterate:
-        """Return the iterate to start from its multipliers and active set alone.
+    def at_multipliers(self, slips: Vector) -> Iterate:
+        """Return the iterate to start from its multipliers, active set and slips alone.
 
         Rounding has added up in the recurrences of its residual.
         """
-        if self.on_face is None:
-            return self
-        return replace(self, on_face=None, active=self.on_face.contact_state.active)
+        active = self.active if self.on_face is None else self.on_face.contact_state.active
+        return replace(self, on_face=None, active=active, slips=slips)
 
 
 @dataclass(frozen=True)

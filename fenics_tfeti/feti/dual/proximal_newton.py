@@ -78,7 +78,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         if status is SolveStatus.STALLED:
             return iterate
         before = turn.products.total
-        on_face = _on_face(problem, iterate, turn)
+        on_face = _on_face(problem, iterate, state, turn)
         turn = turn.extended(turn.products.total - before)
         start = replace(start, circle=on_face.circle)
         if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
@@ -87,7 +87,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         term = Proximal(bounds.chosen(wanted), stiffness)
 
 
-def _on_face(problem: DualProblem, iterate: Iterate, turn: Turn) -> Iterate:
+def _on_face(problem: DualProblem, iterate: Iterate, state: PCPGIterate, turn: Turn) -> Iterate:
     """Run the active set method from a solution, for at most as many products as were spent.
 
     Multipliers P(l_k + rho v) are those of the residual where they solve (11.36) only.
@@ -95,7 +95,8 @@ def _on_face(problem: DualProblem, iterate: Iterate, turn: Turn) -> Iterate:
     if iterate.status is SolveStatus.SOLVED:
         return primal_dual_active_set(problem, iterate, turn.extended(turn.products.total))
     limited = replace(turn, max_products=min(2 * turn.products.total, turn.max_products))
-    return primal_dual_active_set(problem, iterate.at_multipliers(), limited)
+    slips = -problem.constraints.friction.at_sites(state.gradient)
+    return primal_dual_active_set(problem, iterate.at_multipliers(slips), limited)
 
 
 def _solve_proximal(

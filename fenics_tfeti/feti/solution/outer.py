@@ -125,9 +125,9 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
                 return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if stagnation is Stagnation.OF_SMALBE:
-            iterate = replace(iterate, method=Method.ACTIVE_SET)
+            iterate = replace(iterate, method=Method.ACTIVE_SET, slips=candidate.slips)
         elif stagnation is Stagnation.OF_PASS:
-            iterate = iterate.at_multipliers()
+            iterate = iterate.at_multipliers(candidate.slips)
         # its displacements are the largest vectors: the next ones take their place
         del candidate
         tolerance *= min(max(0.5 * limit / certificate.worst, 1e-3), 0.5)
@@ -183,13 +183,15 @@ class _Loop:
     primal: PrimalProblem
     d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
     scale: EnergyScale  # the tolerances are relative to it
+    outer_before: int  # outer iterations of SMALBE-M before this loop
 
     @staticmethod
     def begin(context: SolveContext, shortened: Mask, feasible: FeasibleState) -> _Loop:
         """Compute d_0 and the scale."""
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
-        return _Loop(context, primal, feasible.jumps - context.data.c, scale)
+        before = len(context.monitor.history.outer)
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -246,7 +248,7 @@ class _Loop:
             history.products,
             monitor.tell,
             options,
-            max_outer=options.smalbe_max_it - len(history.outer),
+            max_outer=options.smalbe_max_it - (len(history.outer) - self.outer_before),
             patience=factor * options.smalbe_patience,
         )
 

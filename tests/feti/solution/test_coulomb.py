@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from friction_problems import pushed_block
 
-from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti import Options, SlipBoundStep, TornSolver
 from fenics_tfeti.feti.solution.coulomb import _failure
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.qp import OuterIteration
 
 pytestmark = pytest.mark.once
 
@@ -58,3 +59,18 @@ def test_tolerances_of_steps_follow_the_changes():
     assert first.rtol == 1e-4
     assert second.rtol == pytest.approx(min(1e-2, 0.05 * first.change))
     assert second.rtol > 2e-4
+
+
+def test_limit_on_outer_iterations_is_that_of_each_step():
+    system, counts = with_coulomb((0.15, 0.05, -1.0)), [0]
+
+    def count(step) -> None:
+        counts[-1] += isinstance(step, OuterIteration)
+        if isinstance(step, SlipBoundStep):
+            counts.append(0)
+
+    TornSolver(system, Options(method="smalbe")).solve(count)
+    largest, total = max(counts), sum(counts)
+    assert 1 < largest < total
+    options = Options(method="smalbe", smalbe_max_it=largest)
+    assert TornSolver(system, options).solve().report.converged
