@@ -47,6 +47,8 @@ __all__ = [
 
 CELLS = {"quadrilateral": 2, "triangle": 2, "hexahedron": 3, "tetrahedron": 3}
 FAR = 1e10
+# end of a patch, part of the edge, between nodes: rounding must not decide where they are
+PATCH = 0.61
 # of the measure of springs: all components, normal, one direction
 ALL, NORMAL, ALONG = 1, 2, 3
 
@@ -501,7 +503,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
         if ground.kind == "plane":
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
-            gap = np.where(place[:, (ground.axis + 1) % gdim] < 0.6, gap, ground.far)
+            gap = np.where(place[:, (ground.axis + 1) % gdim] < PATCH, gap, ground.far)
         if problem.geometry is not None:
             gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T

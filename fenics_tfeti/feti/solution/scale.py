@@ -11,6 +11,7 @@ import numpy as np
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import ContactData
+from fenics_tfeti.feti.tolerances import rounding
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -18,8 +19,6 @@ from fenics_tfeti.typing import Mask, Vector
 LANCZOS_STEPS = 15
 # Lanczos steps for a rough value of ||PFP||: the scale of gaps against forces
 ROUGH_LANCZOS_STEPS = 3
-# rounding errors, in units of the last place, that add up in the jumps
-_ROUNDING_ERRORS = 64
 
 
 @dataclass(frozen=True)
@@ -66,8 +65,11 @@ class EnergyScale:
         return EnergyScale(float(np.sqrt(max(feasible.strain, jumps))), float(rigid))
 
     def rounding_at(self, energy_norm: float) -> float:
-        """Return the energy norm of what rounding leaves in jumps of displacements [sqrt(J)]."""
-        return float(_ROUNDING_ERRORS * np.finfo(float).eps * (energy_norm + self.closing))
+        """Return the energy norm of one rounding error in jumps of displacements [sqrt(J)].
+
+        It is the least that rounding leaves; what it leaves more shows when passes fail.
+        """
+        return rounding(energy_norm + self.closing)
 
 
 def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float:
