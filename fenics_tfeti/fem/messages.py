@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def coordinate_order(points: Vector) -> NDArray[np.intp]:
@@ -56,17 +56,28 @@ class WrongPoints(NamedTuple):
 
     number: int
     place: str
+    contact: int = 0  # the first contact that has any; those of others are not counted
 
 
 def first_wrong(
-    comm: MPI.Intracomm, wrong: NDArray[np.bool_], points: Vector
+    comm: MPI.Intracomm,
+    wrong: NDArray[np.bool_],
+    points: Vector,
+    contact: Numbers | None = None,
 ) -> WrongPoints | None:
-    """Return what is wrong at this rank's points (k, gdim) [m], if at any rank's. Collective."""
-    bad = concatenate_ranks(comm, points[wrong])
-    size = comm.allreduce(float(np.abs(points).max(initial=0.0)), MPI.MAX)
+    """Return what is wrong at this rank's points (k, gdim) [m], if at any rank's. Collective.
+
+    Points may be of several contacts (k,).
+    """
+    of_points = np.zeros(len(points), dtype=np.int64) if contact is None else contact
+    bad = concatenate_ranks(comm, np.column_stack([of_points, points])[wrong])
     if not len(bad):
         return None
-    return WrongPoints(len(bad), format_point(bad[coordinate_order(bad)[0]], size))
+    first = bad[:, 0].min()
+    bad = bad[bad[:, 0] == first, 1:]
+    size = float(np.abs(points[of_points == first]).max(initial=0.0))
+    size = comm.allreduce(size, MPI.MAX)
+    return WrongPoints(len(bad), format_point(bad[coordinate_order(bad)[0]], size), int(first))
 
 
 def first_mesh_point(domain: Mesh, points: Vector) -> str:

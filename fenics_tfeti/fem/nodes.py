@@ -15,8 +15,8 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import global_numbers
-from fenics_tfeti.parallel import all_to_all, send_rows
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.parallel import all_to_all, first_of_rank, send_rows
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 Array = NDArray[Any]
 
@@ -39,6 +39,10 @@ class NodeMap:
     Each rank owns consecutive global numbers. Arrays of nodes have one row for each.
     """
 
+    # of `ContactNodes` the local numbers (size,) of the nodes they are copies of, and the contacts
+    originals: Numbers | slice = slice(None)
+    contact: Numbers | None = None
+
     def __init__(self, space: FunctionSpace) -> None:
         self.space = space
         self.comm: MPI.Intracomm = MeshComm(space.mesh)
@@ -57,9 +61,13 @@ class NodeMap:
         return coordinates
 
     def values(self, uh: Function) -> Vector:
-        """Return the values (size, components) of a function of the space, not copied."""
-        values: Vector = uh.x.array.reshape(-1, self.components)
-        return values
+        """Return the values (size, components) of a function of the space."""
+        return self.copied(uh.x.array.reshape(-1, self.components))
+
+    def copied(self, values: Array) -> Array:
+        """Return values (n, ...) at this rank's nodes of the space, for each copy of them."""
+        copied: Array = values[self.originals]
+        return copied
 
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
@@ -136,30 +144,49 @@ class NodeMap:
         return self.sum_at_owners(self.to_global(local), lowest[local], np.minimum)
 
 
-class LocalNodes(NodeMap):
-    """Nodes that one rank has all of, with numbers of their own, whatever ranks own them."""
+class ContactNodes(NodeMap):
+    """The nodes of several contacts, with numbers of their own: each node once in each contact.
 
-    def __init__(self, nodes: NodeMap, size: int) -> None:
-        self.space, self.components, self.comm = nodes.space, nodes.components, MPI.COMM_SELF
-        self.first, self.owned, self.size, self.total = 0, size, size, size
+    Numbers of a rank ascend with the contact and then with the node. Each copy belongs to the rank
+    that owns the node.
+    """
+
+    def __init__(self, nodes: NodeMap, local: Indices, contact: Numbers) -> None:
+        """Find the nodes of facets (f, t), with local numbers, of contacts (f,). Collective."""
+        self.space, self.components, self.comm = nodes.space, nodes.components, nodes.comm
+        number = nodes.to_global(local)
+        keys, inverse = np.unique(contact[:, None] * nodes.total + number, return_inverse=True)
+        original = np.zeros(keys.size, dtype=np.int64)
+        original[inverse.ravel()] = local.ravel()
+        owner = nodes.owners(keys % nodes.total)
+        order = np.argsort(owner, kind="stable")
+        cuts = np.searchsorted(owner[order], np.arange(1, self.comm.size))
+        queries = all_to_all(self.comm, np.split(keys[order], cuts))
+        own_keys = np.unique(np.concatenate(queries))
+        self.owned = own_keys.size
+        self.first, self.total = first_of_rank(self.comm, self.owned)
+        answers = [self.first + np.searchsorted(own_keys, query) for query in queries]
+        numbers = np.zeros(keys.size, dtype=np.int64)
+        numbers[order] = np.concatenate(all_to_all(self.comm, answers))
+        is_ghost = owner != self.comm.rank
+        self._ghosts, ghost_order = np.unique(numbers[is_ghost], return_index=True)
+        self.size = self.owned + self._ghosts.size
+        self.facet_nodes = self.to_local(numbers)[inverse.reshape(local.shape)]  # (f, t)
+        of_ghosts = np.flatnonzero(is_ghost)[ghost_order]
+        own = own_keys % nodes.total - nodes.first
+        self.originals = np.concatenate([own, original[of_ghosts]])
+        self.contact = np.concatenate([own_keys, keys[of_ghosts]]) // nodes.total
 
     def to_global(self, local: Array) -> Numbers:
-        """Return the same numbers."""
-        return local.astype(np.int64)
+        """Return the global numbers of local nodes, in an array of the same shape."""
+        ghost = local >= self.owned
+        number: Numbers = local.astype(np.int64) + self.first
+        number[ghost] = self._ghosts[local[ghost] - self.owned]
+        return number
 
     def to_local(self, nodes: Numbers) -> Numbers:
-        """Return the same numbers."""
-        return nodes
-
-    def owners(self, nodes: Numbers) -> Numbers:
-        """Return the one rank."""
-        return np.zeros_like(nodes)
-
-    def values_at(self, values: Array, nodes: Numbers) -> Array:
-        """Return the rows of values at nodes, in any shape."""
-        found: Array = values[nodes]
-        return found
-
-    def to_owners(self, nodes: Numbers, *data: Array) -> tuple[Array, ...]:
-        """Return the nodes and the data."""
-        return nodes, *data
+        """Return the local numbers of global nodes (k,) on this rank."""
+        local: Numbers = nodes - self.first
+        is_ghost = (local < 0) | (local >= self.owned)
+        local[is_ghost] = self.owned + np.searchsorted(self._ghosts, nodes[is_ghost])
+        return local

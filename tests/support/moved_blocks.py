@@ -18,7 +18,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing
 from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.description import ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
@@ -49,7 +49,7 @@ class Blocks(Scene):
         return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
 
     def pairing(self, contact: Any) -> ContactPairing:
-        return match_contact(MeshBoundary.of(self.V), contact, 0)
+        return match_contacts(MeshBoundary.of(self.V), [contact])[0]
 
     def displacement(
         self, lower: Motion | None = None, upper: Motion | None = None

@@ -7,13 +7,13 @@ from mpi4py import MPI
 import numpy as np
 from scenes import MASTER, SLAVE, Scene, at
 
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 
 def matched(space, contact, measure_weight=None):
     """Return the pairing of one contact."""
-    return match_contact(MeshBoundary.of(space, measure_weight), contact, 0)
+    return match_contacts(MeshBoundary.of(space, measure_weight), [contact])[0]
 
 
 def strips(lower=(4, 2), upper=(4, 2), gap=0.1, comm=MPI.COMM_SELF):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import sys
 import time
 from dataclasses import replace
@@ -127,12 +128,14 @@ def test_a_thousand_bricks():
     made = boxes(COMM, parts, "quadrilateral")
     _, a, L = forms(made.mesh, (0, -bricks.WEIGHT), 5e9)
     ground = RigidObstacle(bricks.bed_joints(made, course_of), bricks.GROUND, Plane((0, 0), (0, 1)))
-    begin = time.perf_counter()
+    # in processor time, without the garbage of other tests
+    gc.collect()
+    begin = time.process_time()
     pairs = find_contacts(made.mesh, made.cell_tags, distance=1e-3)
-    searched = time.perf_counter() - begin
+    searched = time.process_time() - begin
     problem = ContactProblem(a, L, contacts=[*pairs, ground], options={"rtol": 1e-6})
     problem.solve()
-    total = time.perf_counter() - begin
+    total = time.process_time() - begin
     weights = bricks.WEIGHT * np.array([np.prod(np.subtract(b.upper, b.lower)) for b in parts])
     course_of = np.array(course_of)
     forces = np.zeros(max(course_of) + 1)

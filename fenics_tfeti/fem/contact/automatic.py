@@ -19,12 +19,13 @@ from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
 from fenics_tfeti.fem.contact.mortar.cells import (
     Cells,
     MasterTree,
+    inside,
     nearest_layers,
     overlapping_cells,
 )
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, edge_lengths
+from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
@@ -118,7 +119,7 @@ def find_contacts(
             )
     contacts = []
     for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
-        tags = 2 * number + np.array([1, 2])
+        tags = [2 * number + 1, 2 * number + 2]
         first, second = (bodies.names[body].split(" in ")[0] for body in (slave, master))
         contacts.append(
             ContactPair(
@@ -128,7 +129,7 @@ def find_contacts(
                     facets.number[np.concatenate(rows)],
                     np.repeat(tags, [len(part) for part in rows]),
                 ),
-                *tags.tolist(),
+                *tags,
                 name=f"{first} on {second}" + (f", side {side + 1}" if side else ""),
                 friction=friction,
             )
@@ -148,9 +149,11 @@ def _opposite_facets(
     x, n = facets.corners, facets.number.size
     v, gdim = x.shape[1:]
     reach = facets.sizes() if distance is None else np.full(n, float(distance))
-    around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
-    needed = comm.allgather(BoxTree(around).boxes())
-    chosen = facets_in_boxes(comm, needed, BoxTree(x))
+    chosen = [np.arange(n)]
+    if comm.size > 1:
+        around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
+        needed = comm.allgather(BoxTree(around).boxes())
+        chosen = facets_in_boxes(comm, needed, BoxTree(x))
     number = first_of_rank(comm, n)[0] + np.arange(n)
     columns = (number, facets.body, facets.vertices, x)
     received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
@@ -190,11 +193,7 @@ def _is_near(
     facet, master = cells.slave[behind], body[cells.master[behind]]
     in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
     points = planes.origin[facet] + in_plane
-    for number in np.unique(master):
-        of_body = master == number
-        nodes = others.facets.nodes[body == number]
-        surface = FacetedSurface.of(Facets(others.points, nodes))
-        near[behind[of_body]] = surface.distance(points[of_body]).signed < 0.0
+    near[behind] = inside(points, master, others.facets, body)
     return near
 
 
@@ -202,7 +201,7 @@ def _is_apart(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Mask:
     """Tell which rows are of bodies that are not glued; warn of those that are. Collective."""
     first, second = bodies.part[opposite[:, :2]].T
     glued = first == second
-    pairs = np.unique(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)), axis=0)
+    pairs = _distinct(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)))[0]
     with raise_collectively(comm):
         if len(pairs) and comm.rank == 0:
             names = " and ".join(bodies.names[body] for body in pairs[0])
@@ -225,17 +224,17 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, ratio: Vector) -> Mas
     is_lower = opposite[:, 0] < opposite[:, 1]
     ratios = np.where(is_lower, [ratio, 1.0 / ratio], [1.0 / ratio, ratio])
     values = np.column_stack([*ratios, is_lower, ~is_lower])
-    pairs, inverse = np.unique(np.sort(opposite[:, :2], axis=1), axis=0, return_inverse=True)
+    pairs, inverse = _distinct(np.sort(opposite[:, :2], axis=1))
     largest = np.zeros((len(pairs), 4))
-    np.maximum.at(largest, inverse.ravel(), values)
-    every, inverse_of = np.unique(concatenate_ranks(comm, pairs), axis=0, return_inverse=True)
+    np.maximum.at(largest, inverse, values)
+    every, inverse_of = _distinct(concatenate_ranks(comm, pairs))
     of_all = np.zeros((len(every), 4))
-    np.maximum.at(of_all, inverse_of.ravel(), concatenate_ranks(comm, largest))
+    np.maximum.at(of_all, inverse_of, concatenate_ranks(comm, largest))
     as_lower, as_higher, lower_is_near, higher_is_near = of_all.T
     lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
     lower &= lower_is_near > 0.0
     first = first_of_rank(comm, len(pairs))[0]
-    own = inverse_of.ravel()[first + inverse.ravel()]
+    own = inverse_of[first + inverse]
     is_from_slave: Mask = is_lower == lower[own]
     return is_from_slave
 
@@ -248,29 +247,34 @@ def _surfaces(
     The keys, alike on all ranks, are the bodies of slave and master and the side of the slave.
     """
     face = facets.faces(comm)
-    slaves = np.unique(opposite[:, :3], axis=0)
+    slaves = _distinct(opposite[:, :3])[0]
     if whole_faces:
         slaves = _extended(comm, slaves, face)
     side_of = _sides(comm, slaves, facets, face)
 
     def keys(rows: Numbers) -> Numbers:
-        sides = [side_of.get((a, b, face[facet]), 0) for a, b, facet in rows.tolist()]
-        return np.column_stack([rows[:, :2], np.array(sides, dtype=np.int64)])
+        faces = np.column_stack([rows[:, :2], face[rows[:, 2]]])
+        if not side_of:
+            faces[:, 2] = 0
+            return faces
+        distinct, inverse = _distinct(faces)
+        distinct[:, 2] = [side_of.get((a, b, number), 0) for a, b, number in distinct.tolist()]
+        return distinct[inverse]
 
     slaves = np.column_stack([keys(slaves), slaves[:, 2]])
-    masters = np.unique(np.column_stack([keys(opposite[:, :3]), opposite[:, 3]]), axis=0)
+    masters = _distinct(np.column_stack([keys(opposite[:, :3]), opposite[:, 3]]))[0]
     masters = _sent_to_owners(comm, masters, facets.number.size)
     if whole_faces:
         masters = _extended(comm, masters, face)
-    pairs = np.unique(concatenate_ranks(comm, np.unique(slaves[:, :3], axis=0)), axis=0)
+    pairs = _distinct(concatenate_ranks(comm, _distinct(slaves[:, :3])[0]))[0]
     parts = [_split(rows, pairs) for rows in (slaves, masters)]
     return dict(zip(map(tuple, pairs.tolist()), zip(*parts, strict=True), strict=True))
 
 
 def _extended(comm: MPI.Intracomm, rows: Numbers, face: Numbers) -> Numbers:
     """Return rows (n, k) of a pair and a facet with all facets of their faces. Collective."""
-    whole = np.unique(np.column_stack([rows[:, :-1], face[rows[:, -1]]]), axis=0)
-    whole = np.unique(concatenate_ranks(comm, whole), axis=0)
+    whole = _distinct(np.column_stack([rows[:, :-1], face[rows[:, -1]]]))[0]
+    whole = _distinct(concatenate_ranks(comm, whole))[0]
     order = np.argsort(face, kind="stable")
     begin, end = (np.searchsorted(face[order], whole[:, -1], side) for side in ("left", "right"))
     number = end - begin
@@ -292,7 +296,7 @@ def _sides(
     vertices = facets.vertices[facet]
     directory = Directory(comm, np.unique(vertices))
     vertex, rows = directory.collect(vertices.ravel(), np.repeat(faces, vertices.shape[1], axis=0))
-    rows = np.unique(np.column_stack([rows[:, :2], vertex, rows[:, 2]]), axis=0)
+    rows = _distinct(np.column_stack([rows[:, :2], vertex, rows[:, 2]]))[0]
     meetings = [np.zeros((0, 4), dtype=np.int64)]
     for step in range(1, len(rows)):
         meet = (rows[step:, :3] == rows[:-step, :3]).all(axis=1)
@@ -333,14 +337,13 @@ def _sent_to_owners(comm: MPI.Intracomm, rows: Numbers, owned: int) -> Numbers:
     rank = np.searchsorted(firsts, rows[:, -1], "right") - 1
     arrived = np.concatenate(all_to_all(comm, [rows[rank == k] for k in range(comm.size)]))
     arrived[:, -1] -= firsts[comm.rank]
-    distinct: Numbers = np.unique(arrived, axis=0)
-    return distinct
+    return _distinct(arrived)[0]
 
 
 def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
     """Return the last column of rows, sorted by the others, for each pair (n, k)."""
-    _, inverse = np.unique(np.concatenate([pairs, rows[:, :-1]]), axis=0, return_inverse=True)
-    number = inverse.ravel()[len(pairs) :]
+    _, inverse = _distinct(np.concatenate([pairs, rows[:, :-1]]))
+    number = inverse[len(pairs) :]
     order = np.argsort(number, kind="stable")
     cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
     return np.split(rows[order, -1], cuts) if len(pairs) else []
@@ -392,9 +395,20 @@ class ExteriorFacets:
         first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
         directory = Directory(comm, np.unique(edges[:, 0]))
         _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
-        joined = np.unique(_smooth_pairs(*columns), axis=0)
+        joined = _distinct(_smooth_pairs(*columns))[0]
         face: Numbers = _components(concatenate_ranks(comm, joined), total)[first + part]
         return face
+
+
+def _distinct(rows: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the distinct rows (n, k), sorted, and where each row is; faster than NumPy's."""
+    order = np.lexsort(rows.T[::-1])
+    ascending = rows[order]
+    is_new = np.ones(len(rows), dtype=bool)
+    is_new[1:] = (ascending[1:] != ascending[:-1]).any(axis=1)
+    inverse = np.zeros(len(rows), dtype=np.int64)
+    inverse[order] = np.cumsum(is_new) - 1
+    return ascending[is_new], inverse
 
 
 def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:

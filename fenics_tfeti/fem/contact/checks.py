@@ -22,14 +22,15 @@ from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Vector
 
 
-def check_separate(slave: Surface, master: Numbers, name: str, remedy: str) -> None:
-    """Check that none of a slave's nodes, at its vertices, is one of the master. Collective."""
-    if bad := first_wrong(slave.comm, np.isin(slave.nodes, master), slave.points):
+def check_separate(slave: Surface, shared: Mask, names: Sequence[str], remedy: str) -> None:
+    """Check that none of the slave's nodes (k,) is one of the master. Collective."""
+    if bad := first_wrong(slave.comm, shared, slave.points, slave.contact):
         raise InputError(
-            f"{name}: slave and master share {bad.number} nodes, the first at {bad.place}. {remedy}"
+            f"{names[bad.contact]}: slave and master share {bad.number} nodes, the first at "
+            f"{bad.place}. {remedy}"
         )
 
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows
-from fenics_tfeti.typing import Array, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -40,24 +40,36 @@ class Terms:
         nodes = np.stack(ends, axis=1).ravel()
         return Terms(offsets, nodes, weights, np.ones(slave.size, dtype=np.int64))
 
-    def of_rows(self, rows: Numbers) -> Terms:
-        """Return some of the rows."""
-        number = np.diff(self.offsets)[rows]
-        offsets = np.append(0, np.cumsum(number))
-        terms = np.arange(offsets[-1]) + np.repeat(self.offsets[rows] - offsets[:-1], number)
-        return Terms(offsets, self.nodes[terms], self.weights[terms], self.slaves[rows])
+    @staticmethod
+    def concatenate(parts: Sequence[Terms]) -> Terms:
+        """Return the rows of all parts, one part after the other."""
+        number = np.concatenate([np.diff(part.offsets) for part in parts])
+        columns = zip(*((p.nodes, p.weights, p.slaves) for p in parts), strict=True)
+        return Terms(np.append(0, np.cumsum(number)), *map(np.concatenate, columns))
+
+    def of_rows(self, first: int, end: int) -> Terms:
+        """Return consecutive rows."""
+        offsets = self.offsets[first : end + 1]
+        terms = slice(offsets[0], offsets[-1])
+        slaves = self.slaves[first:end]
+        return Terms(offsets - offsets[0], self.nodes[terms], self.weights[terms], slaves)
 
     @cached_property
     def row(self) -> Numbers:
         """The row of each term, (t,)."""
         return np.repeat(np.arange(self.slaves.size), np.diff(self.offsets))
 
+    @property
+    def on_slave(self) -> Mask:
+        """Whether the node of each term is one of the slave, (t,)."""
+        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
+        on_slave: Mask = position < self.slaves[self.row]
+        return on_slave
+
     @cached_property
     def scale(self) -> Vector:
         """The sum of the slave's weights of each row, (k,)."""
-        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
-        weights = np.where(position < self.slaves[self.row], self.weights, 0.0)
-        return self._sums(weights[:, None])[:, 0]
+        return self._sums(np.where(self.on_slave, self.weights, 0.0)[:, None])[:, 0]
 
     @cached_property
     def slave(self) -> Numbers:
@@ -77,8 +89,8 @@ class Terms:
         means: Vector = self._sums(self.weights[:, None] * values) / self.scale[:, None]
         return means
 
-    def rows(self, normal: Vector, gap: Vector, contact: int) -> ContactRows:
-        """Return conditions along normals (k, gdim), with gaps (k,) of mean displacements [m]."""
+    def rows(self, normal: Vector, gap: Vector, contact: Numbers | int) -> ContactRows:
+        """Return conditions of contacts (k,) along normals, with gaps of mean displacements [m]."""
         return ContactRows(
             self.offsets,
             self.nodes,
@@ -98,6 +110,9 @@ class Terms:
 class ContactPairing:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
+    They are those of one contact, or while they are found those of several, one by one, whose nodes
+    are `ContactNodes`.
+
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
     area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
     where the node has such facets; of a mortar condition the integral of its dual function over the
@@ -108,14 +123,46 @@ class ContactPairing:
     normal: Vector  # outward unit normals of the slave (k, gdim)
     gap: Vector  # (k,) [m]; infinite where there is no obstacle
     area: Vector  # (k,) [m^2 or m]
-    name: str
-    summary: dict[str, Any]  # the contact's entry of `Report.pairing`
+    summaries: list[dict[str, Any]]  # of each contact the entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
     coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
     master_surface: Surface | None = None  # None for obstacles
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """The entry of one contact in `Report.pairing`."""
+        (summary,) = self.summaries
+        return summary
+
+    @property
+    def name(self) -> str:
+        """The name of one contact."""
+        name: str = self.summary["contact"]
+        return name
+
+    def separated(self, boundary: MeshBoundary) -> list[ContactPairing]:
+        """Return the conditions of each contact, with the nodes of the mesh. Collective."""
+        copies, count = self.surface.boundary.nodes, len(self.summaries)
+        numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
+        terms = replace(self.terms, nodes=copies.values_at(numbers, self.terms.nodes))
+        of_rows = self.surface.contact[self.on_surface]
+        ends = np.searchsorted(of_rows, np.arange(count + 1))
+        columns = [
+            [terms.of_rows(*rows) for rows in zip(ends[:-1], ends[1:], strict=True)],
+            *(split(of_rows, values, count) for values in (self.normal, self.gap, self.area)),
+            [[summary] for summary in self.summaries],
+            self.surface.separated(boundary),
+            split(self.surface.facet_contact, self.covered, count),
+            split(of_rows, self.coverage, count),
+            split(self.surface.contact, self.prescribed, count),
+            [None] * count
+            if self.master_surface is None
+            else self.master_surface.separated(boundary),
+        ]
+        return list(map(ContactPairing, *columns))
 
     @property
     def is_mortar(self) -> bool:
@@ -147,10 +194,6 @@ class ContactPairing:
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
-
-    def rows(self, number: int) -> ContactRows:
-        """Return the conditions as those of the contact with a number."""
-        return self.terms.rows(self.normal, self.gap, number)
 
     def relative(self, nodes: NodeMap, values: Vector) -> Vector:
         """Return mean values (k, q) of the slave less those of the master. Collective.
@@ -189,10 +232,17 @@ class SlaveValues:
         return SlaveValues(self.contact[kept], self.nodes[kept], self.values[kept])
 
 
-def contact_rows(pairings: Sequence[ContactPairing], gdim: int) -> ContactRows:
-    """Return the contact conditions of all contacts, one contact after the other."""
-    rows = [pairing.rows(number) for number, pairing in enumerate(pairings)]
-    return ContactRows.concatenate([ContactRows.none(gdim), *rows])
+def contact_rows(
+    pairings: Sequence[ContactPairing], gdim: int, numbers: Sequence[int] | None = None
+) -> ContactRows:
+    """Return the conditions of all contacts, by default numbered in their order, one by one."""
+    if not pairings:
+        return ContactRows.none(gdim)
+    terms = Terms.concatenate([pairing.terms for pairing in pairings])
+    normal = np.concatenate([pairing.normal for pairing in pairings])
+    gap = np.concatenate([pairing.gap for pairing in pairings])
+    contacts = range(len(pairings)) if numbers is None else numbers
+    return terms.rows(normal, gap, np.repeat(contacts, [p.gap.size for p in pairings]))
 
 
 def row_values(

@@ -31,6 +31,7 @@ from fenics_tfeti.fem.contact.result import (
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
 from fenics_tfeti.fem.contact.roles import Roles
 from fenics_tfeti.fem.contact.slip import NodalFriction, SlipOrigin, friction_rows, nodal_friction
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
@@ -84,7 +85,7 @@ class FoundContact:
 
     def placed(self, nodes: NodeMap, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
-        master = rigid.master_of(self.pairing.rows(self.number), self.pairing.name)
+        master = rigid.master_of(self.pairing.terms, self.pairing.name)
         if self.body is None:
             return replace(self, rigid_master=master)
         x = self.pairing.relative(nodes, nodes.coordinates)
@@ -136,13 +137,19 @@ class ContactSet:
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other. Collective."""
-        parts = [ContactRows.none(self.boundary.space.mesh.geometry.dim)]
-        for found in self.contacts:
-            rows = found.pairing.rows(found.number)
+        numbers = [found.number for found in self.contacts]
+        rows = contact_rows(self.pairings, self.boundary.nodes.components, numbers)
+        for found, positions in zip(self.contacts, self._positions, strict=True):
             if found.on_body is not None:
-                rows = self.bodies.frame_of(found.body).joined(rows, found.on_body.places)
-            parts.append(rows)
-        return self.rigid.joined(ContactRows.concatenate(parts), self.bodies)
+                frame = self.bodies.frame_of(found.body)
+                rows = frame.joined(rows, positions, found.on_body.places)
+        return self.rigid.joined(rows, self.bodies)
+
+    @property
+    def _positions(self) -> list[Numbers]:
+        """The positions (k,) of each contact's conditions among all of them."""
+        ends = np.cumsum([found.pairing.gap.size for found in self.contacts])
+        return np.split(np.arange(ends[-1]), ends[:-1]) if ends.size else []
 
     def tied_rows(self) -> ContactRows:
         """Return the rows of all ties, one tie after the other. Collective."""
@@ -156,13 +163,13 @@ class ContactSet:
 
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
-        nodes, first, sites = self.boundary.nodes, 0, []
-        for k, found in enumerate(self.contacts):
-            numbers = first + np.arange(found.pairing.slave.size)
-            first += numbers.size
+        nodes, sites = self.boundary.nodes, []
+        for k, (found, positions) in enumerate(zip(self.contacts, self._positions, strict=True)):
             if found.friction is not None:
                 moved = self._obstacle_motion(found, found.friction, origin, k)
-                sites.append((numbers, found.friction, moved))
+                sites.append((positions, found.friction, moved))
+        if not sites:
+            return Friction.none(nodes.components)
         displacement = origin.displacement - (0.0 if start is None else start)
         displacement = self.rigid.relative_to_unknowns(displacement, self.bodies, self.from_here)
         rows = contact_rows(self.pairings, nodes.components)
@@ -189,9 +196,10 @@ class ContactSet:
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
-        space, prescribed = self.boundary.space, self.prescribed
+        space = self.boundary.space
+        fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         contacts = [
-            replace(f, friction=nodal_friction(space, f.contact, f.pairing, prescribed))
+            replace(f, friction=nodal_friction(space, f.contact, f.pairing, fixed))
             for f in self.contacts
         ]
         return replace(self, contacts=contacts)
@@ -309,22 +317,20 @@ class ContactSet:
         moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
         opening = (conditions.gap - moved) / conditions.length
         shortenings = self._shortenings(solution.displacements)
-        contacts, ties, row, site = [], [], 0, 0
-        for found in self.contacts:
-            rows = slice(row, row + found.pairing.slave.size)
+        contacts, ties, site = [], [], 0
+        for found, rows in zip(self.contacts, self._positions, strict=True):
             if found.on_body is not None:
                 frame = bodies.frame_of(found.body)
                 moved = frame.displacements(frame.motion, found.on_body.places)
                 opening[rows] += np.sum(found.pairing.normal * moved, axis=1)
-            sites = slice(site, site + (0 if found.friction is None else rows.stop - row))
-            row, site = rows.stop, sites.stop
+            sites = slice(site, site + (0 if found.friction is None else rows.size))
+            site = sites.stop
             contacts.append(self._result(found, opening[rows], solution, rows, sites))
         row = 0
         for tie in self.ties:
-            rows = slice(row, row + tie.pairing.rows.size)
-            row = rows.stop
+            values = solution.tied_force[row : row + tie.pairing.rows.size]
+            row += values.size
             forces = solution.report.contacts[tie.number]
-            values = solution.tied_force[rows]
             ties.append(self._tied_result(tie, forces, values, shortenings))
         results = [self._body_result(frame, solution) for frame in bodies.frames]
         return SolvedContacts(self, contacts, ties, uh, bodies, results)
@@ -345,7 +351,7 @@ class ContactSet:
         found: FoundContact,
         opening: Vector,
         solution: TornSolution,
-        rows: slice,
+        rows: Numbers,
         sites: slice,
     ) -> ContactResult:
         pairing, friction = found.pairing, found.friction

@@ -20,10 +20,13 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.mortar.pairing import match_deformed
+from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps
+from fenics_tfeti.fem.contact.pairs import check_covered
 from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
@@ -144,16 +147,45 @@ def _deformed_pairs(
 def _deformed_mortar(
     contact: ContactPair, pairing: ContactPairing, displacement: Function
 ) -> DeformedContact:
-    new, mean_distance = match_deformed(contact, pairing, displacement)
+    name, surface, tagged_master = pairing.name, pairing.surface, pairing.master_surface
+    prescribed, deformed = pairing.prescribed, surface
+    assert tagged_master is not None and prescribed is not None
+    slave, master = (
+        gather_nearby(other, surface, displacement) for other in (surface, tagged_master)
+    )
+    with raise_collectively(surface.comm):
+        if contact.normal is None:
+            slave.check_not_folded(name)
+            rows = np.searchsorted(slave.nodes, surface.nodes)
+            deformed = replace(surface, normal=slave.normal[rows])
+        master.check_not_folded(name)
+    if contact.normal is None:
+        normal = normals_in_symmetry_planes(deformed, prescribed)
+        deformed = replace(deformed, normal=normal)
+    facets = deformed.oriented_part(displacement)
+    shared = np.intersect1d(slave.nodes, master.nodes)
+    conditions = mortar_conditions(surface, facets, master, shared, prescribed)
+    check_covered(conditions, surface, [name])
+    mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
+    new = replace(
+        pairing,
+        terms=conditions.terms,
+        normal=conditions.normal,
+        area=conditions.area,
+        covered=conditions.covered,
+        coverage=conditions.coverage,
+    )
+    nodes = surface.boundary.nodes
+    u = nodes.values(displacement)
+    relative = new.relative(nodes, u)
+    new = replace(new, gap=mean_distance + np.sum(relative * new.normal, axis=1))
     # a node that slid off the master is as far from it as its facets are large
-    size = pairing.surface.size[pairing.on_surface]
+    size = surface.size[pairing.on_surface]
     distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
     _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
-    boundary = pairing.surface.boundary
-    nodes = boundary.nodes
-    x = boundary.coordinates[:, : nodes.components] + nodes.values(displacement)
+    x = surface.boundary.coordinates[:, : nodes.components] + u
     offset = pairing.relative(nodes, x)[old_rows] - new.relative(nodes, x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]

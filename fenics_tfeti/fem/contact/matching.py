@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 from mpi4py import MPI
 
@@ -25,19 +25,16 @@ from fenics_tfeti.fem.contact.description import (
     Contact,
     ContactPair,
     LinearRows,
-    Nearest,
-    NodePartners,
     PeriodicPair,
     RigidObstacle,
     Tie,
     TiedPair,
     contact_name,
 )
-from fenics_tfeti.fem.contact.mortar.pairing import match_by_mortar
-from fenics_tfeti.fem.contact.nodes import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.obstacles.conditions import match_obstacle
 from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
+from fenics_tfeti.fem.contact.pairs import NamedPair, match_pairs
 from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
 from fenics_tfeti.fem.contact.roles import (
     EXCHANGE_RATIO,
@@ -49,15 +46,9 @@ from fenics_tfeti.fem.contact.roles import (
     roles_ratios,
     warn_of_roles,
 )
-from fenics_tfeti.fem.contact.single_ranks import match_on_single_ranks
-from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gap
-from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import (
-    prescribed_components,
-    still_holds,
-    without_axial_tilt,
-)
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.initial_gap import user_gaps
+from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.ties import (
     TiedPairing,
     linear_rows,
@@ -70,6 +61,8 @@ from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Vector
+
+Pairing = TypeVar("Pairing", ContactPairing, TiedPairing)
 
 
 class ContactSearch:
@@ -134,10 +127,14 @@ class ContactSearch:
                 )
                 for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
+            fixed = prescribed_components(self.boundary.nodes, prescribed)
+            mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
+            old = {k: mortar[id(tie)] for k, tie in ties.items() if id(tie) in mortar}
+            tied = _unchanged(self.boundary, old, fixed)
+            tied |= {k: self._tied(tie, k, last, fixed) for k, tie in ties.items() if k not in tied}
             found_ties = [
-                FoundTie(number, tie, pairing, self.rigid.master_of(pairing.rows, pairing.name))
-                for number, tie in ties.items()
-                for pairing in [self._tied(tie, number, last, prescribed)]
+                FoundTie(k, tie, tied[k], self.rigid.master_of(tied[k].rows, tied[k].name))
+                for k, tie in ties.items()
             ]
             bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
             found = ContactSet(
@@ -159,20 +156,12 @@ class ContactSearch:
             self._roles[id(contact)] = roles
         return self._roles[id(contact)]
 
-    def _tied(self, tie: Tie, number: int, last: ContactSet, prescribed: Prescribed) -> TiedPairing:
-        """Return the rows of a tie, known ones if they still hold. Collective."""
+    def _tied(self, tie: Tie, number: int, last: ContactSet, fixed: Mask) -> TiedPairing:
+        """Return the rows of a tie. Collective."""
         name = contact_name(tie, number)
-        known = next((found.pairing for found in last.ties if found.tie is tie), None)
-        if (
-            known is not None
-            and known.surface is not None
-            and known.prescribed is not None
-            and still_holds(known.surface, prescribed, known.prescribed)
-        ):
-            return known
         match tie:
             case TiedPair():
-                return tie_surfaces(self.boundary, tie, name, prescribed)
+                return tie_surfaces(self.boundary, tie, name, fixed)
             case PeriodicPair():
                 return periodic_rows(self.boundary, tie, name)
             case BoltPreload():
@@ -230,8 +219,17 @@ class ContactSearch:
             return found
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
         pairings = [found.contacts[index].undeformed for index in new]
+        better = []
         for index, ratio in zip(new, roles_ratios(comm, pairings, stiffness), strict=True):
-            found = self._decide_roles(found, index, contacts, ratio)
+            roles = replace(found.contacts[index].roles, are_decided=True)
+            pair = roles.given
+            assert isinstance(pair, ContactPair)
+            if roles.used is pair and ratio is not None:
+                roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
+                if may_exchange(pair) and ratio > EXCHANGE_RATIO:
+                    better.append(pair)
+            self._roles[id(pair)] = roles
+        found = self._with_exchanged(found, contacts, better)
         decided = list(found.contacts)
         for index in new:
             decided[index] = replace(
@@ -245,34 +243,36 @@ class ContactSearch:
                 warn_of_deviation(entry.undeformed.summary)
         return replace(found, contacts=decided)
 
-    def _decide_roles(
-        self,
-        found: ContactSet,
-        index: int,
-        contacts: Sequence[Contact | Tie],
-        ratio: float | None,
+    def _with_exchanged(
+        self, found: ContactSet, contacts: Sequence[Contact | Tie], pairs: Sequence[ContactPair]
     ) -> ContactSet:
-        """Decide the roles of one pair, and find all conditions anew if they are exchanged.
+        """Find conditions anew with slave and master of pairs exchanged, where that is possible.
 
-        The ratio is that of E / h in the roles given.
+        Some surfaces can be masters only, as folded ones, or masters of other pairs: those pairs
+        are found by halves.
         """
-        entry = found.contacts[index]
-        pair, roles = entry.roles.given, replace(entry.roles, are_decided=True)
-        assert isinstance(pair, ContactPair)
-        if roles.used is pair and ratio is not None:
-            roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
-            if may_exchange(pair) and ratio > EXCHANGE_RATIO:
-                reason = describe_roles(pair, ratio, exchange=True)
-                other = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
-                self._roles[id(pair)] = other
-                try:
-                    found, roles = self.find(contacts, found.prescribed), other
-                except InputError as error:
-                    # surfaces that can be masters only, as folded ones, or masters of other pairs
-                    reason = describe_roles(pair, ratio, obstacle=str(error))
-                    roles = replace(roles, reason=reason)
-        self._roles[id(pair)] = roles
-        return found
+        if not pairs:
+            return found
+        given = {id(pair): self._roles[id(pair)] for pair in pairs}
+        for pair in pairs:
+            ratio = given[id(pair)].ratio
+            assert ratio is not None
+            reason = describe_roles(pair, ratio, exchange=True)
+            self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
+        try:
+            return self.find(contacts, found.prescribed)
+        except InputError as error:
+            obstacle = str(error)
+        self._roles |= given
+        if len(pairs) == 1:
+            (roles,) = given.values()
+            assert roles.ratio is not None
+            reason = describe_roles(pairs[0], roles.ratio, obstacle=obstacle)
+            self._roles[id(pairs[0])] = replace(roles, reason=reason)
+            return found
+        half = len(pairs) // 2
+        found = self._with_exchanged(found, contacts, pairs[:half])
+        return self._with_exchanged(found, contacts, pairs[half:])
 
 
 def match_contacts(
@@ -293,131 +293,52 @@ def match_contacts(
     has_new = any(id(contact) not in earlier for contact in contacts)
     if has_new:
         check_different_surfaces(contacts, comm)
-    supports = Prescribed() if prescribed is None else prescribed
-    numbered = list(zip(numbers or range(len(contacts)), contacts, strict=True))
-    found = _unchanged(boundary, contacts, earlier, supports)
-    pairs = {
+    numbers = range(len(contacts)) if numbers is None else numbers
+    named = {
         k: (contact_name(contact, number), contact)
-        for k, (number, contact) in enumerate(numbered)
-        if k not in found and isinstance(contact, ContactPair) and _is_local(boundary, contact)
+        for k, (number, contact) in enumerate(zip(numbers, contacts, strict=True))
+        if isinstance(contact, ContactPair)
     }
-    found |= match_on_single_ranks(boundary, pairs, supports, match_surfaces)
-    for k, (number, contact) in enumerate(numbered):
-        if k not in found:
-            old = earlier.get(id(contact))
-            found[k] = match_contact(boundary, contact, number, old, supports, displacement)
+    fixed = prescribed_components(boundary.nodes, prescribed or Prescribed())
+    old = {k: earlier[id(p)] for k, (_, p) in named.items() if id(p) in earlier}
+    unchanged = _unchanged(boundary, old, fixed)
+    found = {k: _refreshed(named[k], pairing) for k, pairing in unchanged.items()}
+    new = {k: pair for k, pair in named.items() if k not in found}
+    found |= dict(zip(new, match_pairs(boundary, [*new.values()], fixed), strict=True))
+    for k, (number, contact) in enumerate(zip(numbers, contacts, strict=True)):
+        if isinstance(contact, RigidObstacle):
+            name, last = contact_name(contact, number), earlier.get(id(contact))
+            found[k] = match_obstacle(boundary, name, contact, last, displacement)
     pairings = [found[k] for k in range(len(contacts))]
     if has_new:
         check_different_nodes(contacts, pairings, comm)
     return pairings
 
 
-def _is_local(boundary: MeshBoundary, contact: Contact) -> bool:
-    """Tell whether conditions need no data but those of the surfaces, from a user or a weight."""
-    if isinstance(contact, RigidObstacle) or boundary.weight is not None:
-        return False
-    own_data = contact.normal is not None or callable(contact.initial_gap)
-    return not own_data and not isinstance(contact.partners, NodePartners)
-
-
 def _unchanged(
-    boundary: MeshBoundary,
-    contacts: Sequence[Contact],
-    earlier: Mapping[int, ContactPairing],
-    prescribed: Prescribed,
-) -> dict[int, ContactPairing]:
-    """Return by place the earlier results of local pairs that hold still. Collective."""
-    known = {
-        k: earlier[id(contact)]
-        for k, contact in enumerate(contacts)
-        if id(contact) in earlier and _is_local(boundary, contact)
-    }
-    holds = np.zeros(len(known), dtype=bool)
+    boundary: MeshBoundary, known: Mapping[int, Pairing], fixed: Mask
+) -> dict[int, Pairing]:
+    """Return the earlier results that hold still. Collective.
+
+    They are pairs of nodes, but for areas with a weight, which may have changed, and mortar
+    conditions if they have no weight and the same components are prescribed.
+    """
+    holds = np.ones(len(known), dtype=bool)
     for row, old in enumerate(known.values()):
-        holds[row] = old.prescribed is None or np.array_equal(
-            prescribed_components(old.surface, prescribed), old.prescribed
-        )
+        if old.prescribed is not None:
+            assert old.surface is not None
+            same = np.array_equal(fixed[old.surface.local], old.prescribed)
+            holds[row] = boundary.weight is None and same
     boundary.nodes.comm.Allreduce(MPI.IN_PLACE, holds, MPI.LAND)
     return {k: old for (k, old), kept in zip(known.items(), holds, strict=True) if kept}
 
 
-def match_contact(
-    boundary: MeshBoundary,
-    contact: Contact,
-    number: int,
-    earlier: ContactPairing | None = None,
-    prescribed: Prescribed | None = None,
-    displacement: Function | None = None,
-) -> ContactPairing:
-    """Find the slave's nodes, normals, partners and gaps, this rank's part. Collective.
-
-    The master's nodes are gathered on all ranks, of its facets those near each rank's slave facets.
-    Of an earlier result, pairs of nodes are used again but for areas with a weight, which may have
-    changed; mortar conditions if they have no weight and the same components are prescribed; of an
-    obstacle's the surface.
-    """
-    name = contact_name(contact, number)
-    if isinstance(contact, RigidObstacle):
-        return match_obstacle(boundary, name, contact, earlier, displacement)
-    supports = Prescribed() if prescribed is None else prescribed
-    if earlier is not None and earlier.prescribed is not None:
-        holds = still_holds(earlier.surface, supports, earlier.prescribed)
-        earlier = earlier if holds else None
-    if earlier is None:
-        return _match_pair(boundary, name, contact, supports)
+def _refreshed(pair: NamedPair, old: ContactPairing) -> ContactPairing:
+    """Return earlier conditions with what may have changed of the user's data. Collective."""
+    (name, contact), surface = pair, old.surface
     if callable(contact.initial_gap):
-        # a function of the user may have changed
-        comm, gap, points = boundary.nodes.comm, earlier.gap, earlier.coordinates
-        gap = initial_gap(comm, contact.initial_gap, gap, np.zeros_like(gap), points, name)
-        earlier = replace(earlier, gap=gap)
-    if boundary.weight is None:
-        return earlier
-    area = earlier.surface.areas(earlier.covered, name)
-    return replace(earlier, area=area[earlier.on_surface])
-
-
-def _match_pair(
-    boundary: MeshBoundary, name: str, contact: ContactPair, prescribed: Prescribed
-) -> ContactPairing:
-    tags, partners = contact.facet_tags, contact.partners
-    if isinstance(partners, NodePartners) and boundary.degree > 1:
-        raise InputError(
-            f"{name}: partners={type(partners).__name__}(...) asks for conditions between pairs of "
-            "nodes, which are for displacements of degree 1; this one is of degree "
-            f"{boundary.degree}. Leave it out: the conditions are mortar conditions then"
-        )
-    slave = tagged_surface(boundary, tags, contact.slave, f"slave of {name}", contact.normal)
-    master = tagged_surface(boundary, tags, contact.master, f"master of {name}")
-    return match_surfaces(name, contact, slave, master, prescribed_components(slave, prescribed))
-
-
-def match_surfaces(
-    name: str, contact: ContactPair, slave: Surface, tagged_master: Surface, prescribed: Mask
-) -> ContactPairing:
-    """Return the conditions of a pair, this rank's part. Collective.
-
-    The mask (s, gdim) tells the prescribed components at the slave's nodes.
-    """
-    pairing = _conditions(name, contact, slave, tagged_master, prescribed)
-    if contact.normal is not None:
-        return pairing
-    normal = without_axial_tilt(slave, pairing.slave, pairing.normal)
-    return replace(pairing, normal=normal)
-
-
-def _conditions(
-    name: str, contact: ContactPair, slave: Surface, tagged_master: Surface, prescribed: Mask
-) -> ContactPairing:
-    comm, partners = slave.comm, contact.partners
-    if isinstance(partners, NodePartners):
-        return match_nodes(name, contact, partners, slave, tagged_master)
-    master = gather_nearby(tagged_master, slave)
-    number = comm.allreduce(tagged_master.nodes.size)
-    shared = shared_nodes(name, slave, master.nodes, number, contact.partial)
-    with raise_collectively(comm):
-        master.check_not_folded(name)
-    near = Nearest()
-    may_pair_nodes = partners is None and slave.boundary.degree == 1
-    if may_pair_nodes and meshes_match(slave, master, near.tolerance):
-        return match_nodes(name, contact, near, slave, tagged_master)
-    return match_by_mortar(name, contact, slave, tagged_master, master, shared, prescribed)
+        gap = user_gaps(surface.comm, contact.initial_gap, old.coordinates, name)
+        old = replace(old, gap=gap)
+    if surface.boundary.weight is None:
+        return old
+    return replace(old, area=surface.areas(old.covered, [name])[old.on_surface])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -20,10 +21,11 @@ from fenics_tfeti.fem.contact.description import (
     NodePartners,
     Points,
 )
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.mortar.facets import apart
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gaps
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
@@ -43,15 +45,16 @@ _SEPARATE = (
 _REMEDY = "mesh the two surfaces alike, tag only where they face each other, or raise the tolerance"
 
 
-def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> bool:
-    """Tell whether every facet of the slave has one of the master with the same nodes. Collective.
+def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mask:
+    """Tell of which contacts every facet of the slave has one of the master with the same nodes.
 
     Nodes are the same if they are opposite each other, along the normal of either surface or their
     mean, up to the rounding of coordinates in single precision. Gaps do not matter, as long as the
     distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
-    master is what is near this rank's slave nodes.
+    master is what is near this rank's slave nodes. Collective.
     """
-    partner = cKDTree(master.points).query(slave.points)[1]
+    tree = cKDTree(apart(master.points, master.facets.contact_of(np.arange(len(master.points)))))
+    partner = tree.query(apart(slave.points, slave.contact))[1]
     offset = master.points[partner] - slave.points
     opposite = unit(slave.normal - master.normal[partner])
     distances = [
@@ -60,85 +63,108 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> boo
     ]
     tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
-    if not slave.comm.allreduce(bool(near.all()), MPI.LAND):
-        return False
-    slave_facets = np.sort(slave.at_corners(partner), axis=1)
-    facets = np.concatenate([np.sort(master.facets.corners, axis=1), slave_facets])
+    # by global numbers: the corners of a facet may be other ranks', which have other parts of it
+    corners = [master.nodes[master.facets.corners], slave.at_corners(master.nodes[partner])]
+    facets = np.sort(np.concatenate(corners), axis=1)
     number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
     matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
-    return bool(slave.comm.allreduce(bool(matching.all()), MPI.LAND))
+    match = np.ones(len(slave.extent), dtype=bool)
+    match[slave.contact[~near]] = match[slave.facet_contact[~matching]] = False
+    slave.comm.Allreduce(MPI.IN_PLACE, match, MPI.LAND)
+    return match
 
 
 def match_nodes(
-    name: str, contact: ContactPair, how: NodePartners, slave: Surface, tagged_master: Surface
+    names: Sequence[str],
+    contacts: Sequence[ContactPair],
+    how: NodePartners,
+    slave: Surface,
+    tagged_master: Surface,
 ) -> ContactPairing:
-    """Return the conditions between pairs of nodes, this rank's part. Collective."""
+    """Return the conditions between pairs of nodes, this rank's part. Collective.
+
+    Several contacts have the nearest nodes as partners.
+    """
     comm, master = slave.comm, tagged_master.gathered_nodes()
-    shared = shared_nodes(name, slave, master.nodes, master.nodes.size, contact.partial)
+    partial = np.array([pair.partial for pair in contacts])
+    shared = shared_nodes(names, slave, master.nodes, tagged_master, partial)
     master = master.without(shared)
 
-    partners = find_partners(how, slave, master, name)
+    partners = find_partners(how, slave, master, names[0])
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
     limit = how.tolerance * slave.size
-    _check_partners(slave, partners, limit, contact.partial, name)
+    _check_partners(slave, partners, limit, partial, names)
     paired = partners.distance <= limit
-    _check_one_to_one(slave, master, partners, paired, contact.partial, name)
+    _check_one_to_one(slave, master, partners, paired, partial, names)
 
-    partner_rows = partners.master[paired]
+    partner_rows, contact = partners.master[paired], slave.contact[paired]
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    if bad := first_wrong(comm, angle > 120.0, slave.points[paired]):
+    if bad := first_wrong(comm, angle > 120.0, slave.points[paired], contact):
         raise InputError(
-            f"{name}: slave and master look the same way at {bad.number} nodes, the first at "
-            f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
-            "one of the tags on the far side of its body?"
+            f"{names[bad.contact]}: slave and master look the same way at {bad.number} nodes, the "
+            f"first at {bad.place}: the outward normals of surfaces that touch point against each "
+            "other. Is one of the tags on the far side of its body?"
         )
     partner = master.points[partner_rows]
     images = np.full_like(slave.points, np.nan)
     images[paired] = partner
     images = slave.at_corners(images)
-    _check_not_crossed(slave, images, name)
+    _check_not_crossed(slave, images, names)
     covered = np.isfinite(images).all(axis=(1, 2))
-    area = slave.areas(covered, name)
+    area = slave.areas(covered, names)[paired]
     normal = slave.normal[paired]
-    gap = slave.without_rounding(np.sum((partner - slave.points[paired]) * normal, axis=1))
+    gap = np.sum((partner - slave.points[paired]) * normal, axis=1)
+    gap = slave.without_rounding(gap, contact)
     places = slave.coordinates[paired]
     chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
     # the nodes of both surfaces are on it, up to their chords
     chord = 2.0 * slave.max_of_facets(chords)[paired]
-    gap = initial_gap(comm, contact.initial_gap, gap, chord, places, name)
-    distance = slave.without_rounding(partners.distance[paired])
+    gap = initial_gaps(comm, contacts, contact, gap, chord, places, names)
+    summaries = pairing_summaries(
+        comm,
+        names,
+        "node_to_node",
+        contact,
+        gap,
+        angle,
+        slave.contact,
+        slave.without_rounding(partners.distance[paired], contact),
+        slave.size[paired],
+        area,
+        np.bincount(contact, slave.area[paired], len(names)).astype(np.float64, copy=False),
+    )
     return ContactPairing(
         Terms.of_nodes(slave.nodes[paired], master.nodes[partner_rows]),
         normal,
         gap,
-        area[paired],
-        name,
-        pairing_summary(
-            comm,
-            name,
-            "node_to_node",
-            gap,
-            angle,
-            slave.nodes.size,
-            distance,
-            slave.size[paired],
-            area[paired],
-            float(slave.area[paired].sum()),
-        ),
+        area,
+        summaries,
         slave,
         covered,
-        coverage=(slave.share_of_area(covered) / slave.area)[paired],
+        (slave.share_of_area(covered) / slave.area)[paired],
         master_surface=tagged_master,
     )
 
 
-def shared_nodes(name: str, slave: Surface, master: Numbers, number: int, partial: bool) -> Numbers:
-    """Return nodes of all ranks on both surfaces; `master` has those near, `number` is of all."""
-    shared = concatenate_ranks(slave.comm, slave.nodes[np.isin(slave.nodes, master)])
-    if not partial or shared.size >= number:
-        check_separate(slave, master, name, _SEPARATE)
-    return shared
+def shared_nodes(
+    names: Sequence[str], slave: Surface, master: Numbers, tagged_master: Surface, partial: Mask
+) -> Numbers:
+    """Return nodes of all ranks on both surfaces, of whose master there are those near. Collective.
+
+    There must be none but in contacts that are partial and whose master has other nodes.
+    """
+    is_shared = np.isin(slave.nodes, master)
+    numbers = [
+        np.bincount(contact, minlength=len(names))
+        for contact in (slave.contact[is_shared], tagged_master.contact)
+    ]
+    shared, total = slave.comm.allreduce(np.array(numbers))
+    may_share = partial & (shared < total)
+    check_separate(slave, is_shared & ~may_share[slave.contact], names, _SEPARATE)
+    if not shared.any():
+        return np.zeros(0, dtype=np.int64)
+    return concatenate_ranks(slave.comm, slave.nodes[is_shared])
 
 
 @dataclass(frozen=True)
@@ -157,7 +183,7 @@ def find_partners(
     """Find the partner of each slave node in the way that the user chose. Collective."""
     match partners:
         case Nearest():
-            partner = _nearest_points(master.points, slave.points)[1]
+            partner = _nearest_points(*(apart(s.points, s.contact) for s in (master, slave)))[1]
             offset = master.points[partner] - slave.points
             distance = np.linalg.norm(tangential_part(offset, slave.normal), axis=1)
             measure = "along the surface to the nearest master node"
@@ -305,32 +331,44 @@ def _chosen(mask: Mask, *columns: Array) -> list[Array]:
 
 
 def _check_partners(
-    slave: Surface, partners: Partners, limit: Vector, partial: bool, name: str
+    slave: Surface, partners: Partners, limit: Vector, partial: Mask, names: Sequence[str]
 ) -> None:
     """Check that all slave nodes have a partner, or in a partial contact at least one."""
     comm, far = slave.comm, partners.distance > limit
-    missing, total = comm.allreduce(int(far.sum())), comm.allreduce(far.size)
-    if missing == 0 or (partial and missing < total):
+    numbers = [
+        np.bincount(contact, minlength=len(names))
+        for contact in (slave.contact[far], slave.contact)
+    ]
+    missing, total = comm.allreduce(np.array(numbers))
+    wrong = np.flatnonzero((missing > 0) & ~(partial & (missing < total)))
+    if not wrong.size:
         return
+    k = wrong[0]
+    far &= slave.contact == k
     relative = partners.distance[far] / slave.size[far]
     largest = comm.allreduce(float(relative[np.isfinite(relative)].max(initial=0.0)), MPI.MAX)
     places = first_distances(
-        comm, slave.points[far], partners.distance[far], limit[far], slave.extent
+        comm, slave.points[far], partners.distance[far], limit[far], slave.extent[k]
     )
     measure = (
         f"Distances are {partners.measure}, up to {largest:.2g} of the facets' size. "
         if largest
         else ""
     )
-    free = "" if partial else ", or leave these nodes free by partial=True"
+    free = "" if partial[k] else ", or leave these nodes free by partial=True"
     raise InputError(
-        f"{name}: {missing} of {total} slave nodes have no partner: {places}. {measure}"
+        f"{names[k]}: {missing[k]} of {total[k]} slave nodes have no partner: {places}. {measure}"
         f"{partners.remedy}{free}"
     )
 
 
 def _check_one_to_one(
-    slave: Surface, master: SurfaceNodes, partners: Partners, paired: Mask, partial: bool, name: str
+    slave: Surface,
+    master: SurfaceNodes,
+    partners: Partners,
+    paired: Mask,
+    partial: Mask,
+    names: Sequence[str],
 ) -> None:
     """Check that no two slave nodes have the same partner."""
     comm = slave.comm
@@ -338,6 +376,8 @@ def _check_one_to_one(
     shared = shared[counts > 1]
     if not shared.size:
         return
+    contact = master.contact[shared].min()
+    shared, extent = shared[master.contact[shared] == contact], slave.extent[contact]
     concerned = paired & np.isin(partners.master, shared)
     relative = partners.distance[concerned] / slave.size[concerned]
     columns = (slave.points[concerned], partners.master[concerned], relative)
@@ -348,22 +388,22 @@ def _check_one_to_one(
     # the master's nodes are in the order of their coordinates
     conflicting = points[partner == shared[0]]
     places = " and ".join(
-        format_point(point, slave.extent) for point in conflicting[coordinate_order(conflicting)]
+        format_point(point, extent) for point in conflicting[coordinate_order(conflicting)]
     )
     remedy = (
         "Exchange slave and master, or mesh the surfaces alike"
-        if not partial
+        if not partial[contact]
         else f"With a tolerance below {relative[second].min():.2g} some of them stay free; or "
         "exchange slave and master, or mesh the surfaces alike"
     )
     raise InputError(
-        f"{name}: {shared.size} master nodes are each the partner of several slave nodes, the "
-        f"first at {format_point(master.points[shared[0]], slave.extent)} of those at {places}; "
-        f"the mapping has to be one to one. {remedy}"
+        f"{names[contact]}: {shared.size} master nodes are each the partner of several slave "
+        f"nodes, the first at {format_point(master.points[shared[0]], extent)} of those at "
+        f"{places}; the mapping has to be one to one. {remedy}"
     )
 
 
-def _check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
+def _check_not_crossed(slave: Surface, images: Vector, names: Sequence[str]) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
     The images (f, v, gdim) are the coordinates of the partners of the corners of this rank's
@@ -384,18 +424,22 @@ def _check_not_crossed(slave: Surface, images: Vector, name: str) -> None:
     # False where there is a NaN
     crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
 
+    contact = np.repeat(slave.facet_contact, len(edges))[crossed]
     crossings = np.concatenate([ends[crossed], partners[crossed]], axis=1)
     # an edge belongs to two facets: it is listed from its smaller end, and once
     swap = np.array([b < a for a, b in crossings[:, :2].tolist()], dtype=bool)
     crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
-    crossings = np.unique(concatenate_ranks(slave.comm, crossings.reshape(-1, 4 * gdim)), axis=0)
+    crossings = np.column_stack([contact, crossings.reshape(-1, 4 * gdim)])
+    crossings = np.unique(concatenate_ranks(slave.comm, crossings), axis=0)
     if not len(crossings):
         return
+    crossings = crossings[crossings[:, 0] == crossings[0, 0]]
+    k = int(crossings[0, 0])
     a, b, partner_a, partner_b = (
-        format_point(p, slave.extent) for p in crossings[0].reshape(4, gdim)
+        format_point(p, slave.extent[k]) for p in crossings[0, 1:].reshape(4, gdim)
     )
     raise InputError(
-        f"{name}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} and "
-        f"{b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
+        f"{names[k]}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} "
+        f"and {b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
         "Correct the points, mapping or direction, or lower the tolerance"
     )

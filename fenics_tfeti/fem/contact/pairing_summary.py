@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from mpi4py import MPI
@@ -10,61 +10,85 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import warn_user
+from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 # share of the area with gaps smaller than the deviation of the facets, above which the user is
 # told: surfaces that touch at a point or on a line have few such nodes around it
 _BLURRED = 0.5
 
+_ENTRIES = (
+    *("contact", "discretisation", "pairs", "unmatched", "largest_distance"),
+    *("largest_relative_distance", "largest_angle", "smallest_gap", "largest_gap", "mean_gap"),
+    *("covered_area", "deviation", "blurred"),
+)
 
-def pairing_summary(
+
+def pairing_summaries(
     comm: MPI.Intracomm,
-    name: str,
+    names: Sequence[str],
     discretisation: str,
+    contact: Numbers,
     gap: Vector,
     angle: Vector,
-    total: int,
+    of_nodes: Numbers,
     distance: Vector | None = None,
     size: Vector | float = 1.0,
     area: Vector | None = None,
-    covered_area: float | None = None,
+    covered_area: Vector | None = None,
     deviation: Vector | None = None,
-) -> dict[str, Any]:
-    """Summarise the pairing of a contact; the same on all ranks. Collective.
+) -> list[dict[str, Any]]:
+    """Summarise the pairing of each contact; the same on all ranks. Collective.
 
-    Arrays (k,) are of the conditions: gaps [m], infinite where there is no obstacle, angles between
-    the slave's normals and the opposite of the master's [degrees], the distances that the tolerance
-    limits and the size of the facets that they are relative to [m], areas as weights of the mean
-    gap, and deviations of the facets from the curved surfaces through their nodes [m], None where
-    gaps do not depend on it. `total` is the number of this rank's slave nodes, paired or not.
+    Arrays (k,) are of the conditions: their contacts, gaps [m], infinite where there is no
+    obstacle, angles between the slave's normals and the opposite of the master's [degrees], the
+    distances that the tolerance limits and the size of the facets that they are relative to [m],
+    areas as weights of the mean gap, and deviations of the facets from the curved surfaces through
+    their nodes [m]. Of this rank's slave nodes, paired or not, there are the contacts; of contacts
+    the covered areas.
     """
     finite = np.isfinite(gap)
-    pairs = comm.allreduce(int(finite.sum()))
-
-    def largest(values: Vector, sign: float = 1.0) -> float | None:
-        extreme = comm.allreduce(float((sign * values[finite]).max(initial=-np.inf)), MPI.MAX)
-        return 0.0 + sign * extreme if pairs else None
-
-    blurred = None
-    if deviation is not None:
-        # 1 where a gap is there, but smaller than the deviation
-        blurred = ((gap != 0.0) & (np.abs(gap) < deviation)).astype(float)
-    return {
-        "contact": name,
-        "discretisation": discretisation,
-        "pairs": pairs,
-        "unmatched": comm.allreduce(total) - pairs,
-        "largest_distance": None if distance is None else largest(distance),
-        "largest_relative_distance": None if distance is None else largest(distance / size),
-        "largest_angle": largest(angle),
-        "smallest_gap": largest(gap, -1.0),
-        "largest_gap": largest(gap),
-        "mean_gap": _mean(comm, gap, area, finite),
-        "covered_area": None if covered_area is None else comm.allreduce(covered_area),
-        "deviation": None if deviation is None else largest(deviation),
-        "blurred": None if blurred is None else _mean(comm, blurred, area, finite),
+    contact, gap, contacts = contact[finite], gap[finite], len(names)
+    weight = np.ones_like(gap) if area is None else area[finite]
+    maxima: dict[str, Vector] = {
+        "largest_angle": angle[finite],
+        "smallest_gap": -gap,
+        "largest_gap": gap,
     }
+    means = {"mean_gap": gap, "weight": np.ones_like(gap)}
+    if distance is not None:
+        maxima["largest_distance"] = distance[finite]
+        maxima["largest_relative_distance"] = (distance / size)[finite]
+    if deviation is not None:
+        maxima["deviation"] = deviation[finite]
+        # 1 where a gap is there, but smaller than the deviation
+        means["blurred"] = (gap != 0.0) & (np.abs(gap) < deviation[finite])
+    none = np.zeros(contacts)
+    sums: list[Array] = [np.bincount(c, minlength=contacts) for c in (contact, of_nodes)]
+    sums += [none if covered_area is None else covered_area]
+    sums += [np.bincount(contact, weight * values, contacts) for values in means.values()]
+    totals = np.array(sums, dtype=float)
+    comm.Allreduce(MPI.IN_PLACE, totals)
+    largest = np.array([extremes(comm, v, contact, contacts, -np.inf) for v in maxima.values()])
+    largest[[*maxima].index("smallest_gap")] *= -1.0
+    entries = []
+    for k, (pairs, total, covered, *of_means) in enumerate(totals.T.tolist()):
+        entry = dict.fromkeys(_ENTRIES) | {
+            "contact": names[k],
+            "discretisation": discretisation,
+            "pairs": int(pairs),
+            "unmatched": int(total - pairs),
+            "covered_area": None if covered_area is None else covered,
+        }
+        if pairs:
+            entry |= dict(zip(maxima, (0.0 + largest[:, k]).tolist(), strict=True))
+        values = dict(zip(means, of_means, strict=True))
+        whole = values.pop("weight")
+        if whole > 0.0:
+            entry |= {name: value / whole for name, value in values.items()}
+        entries.append(entry)
+    return entries
 
 
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
@@ -80,14 +104,6 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
         "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
         "use cells of second order with displacement_space(mesh, degree=2), or finer facets"
     )
-
-
-def _mean(comm: MPI.Intracomm, gap: Vector, area: Vector | None, finite: Mask) -> float | None:
-    weights = np.ones_like(gap) if area is None else area
-    total, whole = comm.allreduce(
-        np.array([gap[finite] @ weights[finite], weights[finite].sum()])
-    ).tolist()
-    return total / whole if whole > 0.0 else None
 
 
 def angles_between(first: Vector, second: Vector) -> Vector:

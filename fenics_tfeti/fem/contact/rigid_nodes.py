@@ -18,6 +18,7 @@ from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.contact import Terms
 from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
@@ -92,7 +93,7 @@ class RigidNodes:
         numbers[in_mesh] = self.nodes.values_at(self.body, nodes[in_mesh])
         return numbers
 
-    def master_of(self, rows: ContactRows, name: str) -> RigidBody | None:
+    def master_of(self, rows: ContactRows | Terms, name: str) -> RigidBody | None:
         """Return the rigid body of the rows' master, if any; the slave is on none. Collective."""
         if not self.bodies:
             return None

@@ -19,13 +19,12 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, row_values
 from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
 from fenics_tfeti.fem.contact.result import FrictionResult
-from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
 from fenics_tfeti.feti.solver import TornSolution
-from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
+from fenics_tfeti.feti.system import ContactRows, Friction
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -96,21 +95,23 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
 
 
 def nodal_friction(
-    space: FunctionSpace, contact: Contact, pairing: ContactPairing, prescribed: Prescribed
+    space: FunctionSpace, contact: Contact, pairing: ContactPairing, fixed: Mask
 ) -> NodalFriction | None:
-    """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
+
+    For the mask see `prescribed_components`.
+    """
     law, points, name = contact.friction, pairing.coordinates, pairing.name
     if law is None:
         return None
     values = _law_values(space, law, pairing.slave, points, name)
     is_tresca = isinstance(law, Tresca)
-    fixed = prescribed_components(pairing.surface, prescribed)[pairing.on_surface]
     moved = np.zeros_like(pairing.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
         label, gdim = f"{name}: the obstacle's displacement", moved.shape[1]
         moved = vectors_at(space.mesh.comm, contact.displacement, points, gdim, label)
     return NodalFriction(
-        tangents(pairing.normal, fixed),
+        tangents(pairing.normal, fixed[pairing.surface.local][pairing.on_surface]),
         np.where(is_tresca, values * pairing.area, 0.0),
         np.where(is_tresca, 0.0, values),
         moved,
@@ -151,8 +152,6 @@ def friction_rows(
     and what the obstacle has moved (k, gdim) since the displacement of the origin (n,) [m].
     """
     gdim = nodes.components
-    if not sites:
-        return Friction.none(gdim)
     new = Friction(
         np.concatenate([numbers for numbers, _, _ in sites]),
         np.concatenate([friction.tangents for _, friction, _ in sites]),

@@ -17,18 +17,17 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.checks import check_separate
 from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
-from fenics_tfeti.fem.contact.mortar.pairing import check_covered
 from fenics_tfeti.fem.contact.obstacles.rigid_body import are_same
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.pairs import check_covered
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
-from fenics_tfeti.feti.system import ContactRows, Prescribed, Subdomain
+from fenics_tfeti.feti.system import ContactRows, Subdomain
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -70,6 +69,11 @@ class TiedPairing:
     prescribed: Mask | None = None
     preload: Preload | None = None  # of bolts
 
+    @property
+    def is_mortar(self) -> bool:
+        """Whether the rows are mortar conditions of two surfaces."""
+        return self.prescribed is not None
+
     def forces(self, row_forces: Vector) -> Vector:
         """Return the forces (k, gdim) on the slave nodes of those of the rows [N]."""
         force = np.zeros((self.nodes.size, self.rows.coefficients.shape[1]))
@@ -106,10 +110,8 @@ class TiedPairing:
         )
 
 
-def tie_surfaces(
-    boundary: MeshBoundary, pair: TiedPair, name: str, prescribed: Prescribed
-) -> TiedPairing:
-    """Find the conditions of a tied pair. Collective."""
+def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask) -> TiedPairing:
+    """Find the conditions of a tied pair, with `prescribed_components`. Collective."""
     tags, comm = pair.facet_tags, boundary.nodes.comm
     slave = tagged_surface(boundary, tags, pair.slave, f"slave of {name}")
     tagged_master = tagged_surface(boundary, tags, pair.master, f"master of {name}")
@@ -118,17 +120,17 @@ def tie_surfaces(
         master.check_not_folded(name)
     check_separate(
         slave,
-        master.nodes,
-        name,
+        np.isin(slave.nodes, master.nodes),
+        [name],
         "Surfaces that share nodes are one already: leave the pair out, or give each part nodes of "
         "its own by fenics_tfeti.io.split_interfaces",
     )
-    fixed = prescribed_components(slave, prescribed)
+    fixed = fixed[slave.local]
     conditions = tied_conditions(slave, slave.oriented_part(), master, fixed)
     # nodes where a component is prescribed have no condition for it
     sizes = [comm.allreduce(part.terms.slave.size) for part in conditions]
     fullest = conditions[int(np.argmax(sizes))]
-    check_covered(fullest, slave, name)
+    check_covered(fullest, slave, [name])
     rows = np.searchsorted(slave.nodes, fullest.terms.slave)
     # farther apart than facets are large, rotations would be held
     distance = np.linalg.norm(fullest.gap, axis=1)
@@ -140,13 +142,14 @@ def tie_surfaces(
             "surfaces that lie on each other"
         )
     gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
-    summary = pairing_summary(
+    (summary,) = pairing_summaries(
         comm,
-        name,
+        [name],
         "tied",
+        slave.contact[rows],
         gap,
         fullest.angle,
-        slave.nodes.size,
+        slave.contact,
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
@@ -184,21 +187,23 @@ class _Match:
     def pairing(self, name: str, kind: str, rows: ContactRows) -> TiedPairing:
         """Return the pairing with these rows. Collective."""
         surface = self.surface
-        distance = surface.without_rounding(self.distance)
-        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool), name)
+        contact = np.zeros(self.nodes.size, dtype=np.int64)
+        distance = surface.without_rounding(self.distance, contact)
+        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool), [name])
         area = np.full(self.nodes.size, np.nan)
         area[np.searchsorted(self.nodes, surface.nodes)] = whole
-        summary = pairing_summary(
+        (summary,) = pairing_summaries(
             surface.comm,
-            name,
+            [name],
             kind,
+            contact,
             np.zeros(self.nodes.size),
             self.angle,
-            self.nodes.size,
+            contact,
             distance,
             surface.size.min(initial=np.inf),
             np.nan_to_num(area),
-            float(surface.area.sum()),
+            surface.area.sum(keepdims=True),
         )
         return TiedPairing(name, rows, self.nodes, self.coordinates, area, summary)
 
@@ -290,14 +295,15 @@ def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPai
         np.zeros(slaves.size, dtype=np.int64),
     )
     distinct = np.unique(slave)
-    none = np.zeros(slaves.size)
+    none, contact = np.zeros(slaves.size), np.zeros(slaves.size, dtype=np.int64)
+    (summary,) = pairing_summaries(nodes.comm, [name], "rows", contact, none, none, contact)
     return TiedPairing(
         name,
         rows,
         distinct,
         boundary.coordinates[distinct - nodes.first],
         np.full(distinct.size, np.nan),
-        pairing_summary(nodes.comm, name, "rows", none, none, slaves.size),
+        summary,
     )
 
 
@@ -316,8 +322,8 @@ def _matched(
     if isinstance(pair, BoltPreload):
         check_separate(
             slave,
-            master.nodes,
-            name,
+            np.isin(slave.nodes, master.nodes),
+            [name],
             "The cut does not go through the shank: extend the facets that "
             "fenics_tfeti.io.split_interfaces opens to its surface",
         )

@@ -24,7 +24,7 @@ from strips import matched, partners, strips
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.contact import contact_rows
-from fenics_tfeti.fem.contact.matching import match_contact, match_contacts
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.parallel import concatenate_ranks
@@ -238,9 +238,9 @@ ARGUMENTS = {
 def gathered(on, arguments):
     """Match; return the pairs by the slave's coordinates, and the entry of the pairing table."""
     scene = scenes.two_beams(on, "hexahedron", 4, gap=0.1)
-    pairing = match_contact(
-        MeshBoundary.of(scene.V), ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments), 0
-    )
+    pairing = match_contacts(
+        MeshBoundary.of(scene.V), [ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments)]
+    )[0]
     points = scene.V.tabulate_dof_coordinates()
     own = scene.V.dofmap.index_map.size_local
     node = concatenate_ranks(
@@ -279,9 +279,9 @@ def test_pairing_of_an_obstacle():
     def entry(on):
         scene = scenes.block_on_ball(on, "tetrahedron", 3)
         ball = Sphere((0.4, 0.5, -10.0), 10.0)
-        return match_contact(
-            MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, ball), 0
-        ).summary
+        return match_contacts(
+            MeshBoundary.of(scene.V), [RigidObstacle(scene.facet_tags, GROUND, ball)]
+        )[0].summary
 
     assert rounded(entry(COMM)) == rounded(entry(MPI.COMM_SELF))
 
@@ -292,4 +292,4 @@ def test_points_that_differ_between_ranks_are_refused():
     points = Points(X, X - 0.1 * UP - 1e-9 * COMM.rank)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=points)
     with pytest.raises(ValueError, match="points differ between ranks"):
-        match_contact(MeshBoundary.of(scene.V), pair, 0)
+        match_contacts(MeshBoundary.of(scene.V), [pair])[0]

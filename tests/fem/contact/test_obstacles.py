@@ -12,7 +12,7 @@ from scenes import GROUND, at, normal_forces, pressed_block
 
 from fenics_tfeti import Cylinder, Exact, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import contact_fields, tag_facets, write_fields
 
@@ -21,9 +21,9 @@ X = np.array([[3.0, 0.0], [4.0, -10.0], [0.0, 0.0]])
 
 def matched(obstacle, cell="quadrilateral", gap=0.0):
     scene = pressed_block(MPI.COMM_SELF, cell, 2, gap=gap)
-    return match_contact(
-        MeshBoundary.of(scene.V), RigidObstacle(scene.facet_tags, GROUND, obstacle), 0
-    )
+    return match_contacts(
+        MeshBoundary.of(scene.V), [RigidObstacle(scene.facet_tags, GROUND, obstacle)]
+    )[0]
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_gap_alone_is_along_the_own_normal():
 def test_gap_alone_of_two_nodes_is_not_taken_for_gap_and_normal():
     scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 1)
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: [0.25 + 0 * y for y in x[1]])
-    np.testing.assert_allclose(match_contact(MeshBoundary.of(scene.V), contact, 0).gap, 0.25)
+    np.testing.assert_allclose(match_contacts(MeshBoundary.of(scene.V), [contact])[0].gap, 0.25)
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])

@@ -14,10 +14,12 @@ from scenes import YOUNG, at
 
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import meshtags
 
-from fenics_tfeti import Coulomb, Exact
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Exact
 from fenics_tfeti.fem.contact.roles import nodal_stiffness, roles_ratios
-from fenics_tfeti.io import contact_fields
+from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.io import Box, boxes, contact_fields, displacement_space, tag_facets
 
 TOP, BOTTOM = 1, 2
 
@@ -165,6 +167,31 @@ def test_roles_stay_where_the_master_can_be_no_slave():
     problem.solve()
     assert not problem.results[0].on_master
     assert "joint: slave and master are as given, though E / h" in str(problem.report)
+
+
+@pytest.mark.filterwarnings("ignore:joint")
+def test_pairs_are_exchanged_but_those_that_cannot_be():
+    """Of three stiff blocks on soft ones; the second master goes around an edge of 60 degrees."""
+    columns = [Box((2 * k, y), (2 * k + 1, y + 1), (3 + y, 2)) for k in range(3) for y in (0, 1)]
+    mesh = boxes(MPI.COMM_SELF, columns, "quadrilateral").mesh
+    bodies = find_bodies(mesh, None)
+    of_cell = meshtags(mesh, 2, np.arange(bodies.of_cell.size), bodies.of_cell.astype(np.int32))
+    marks = [(1 + k, lambda x: np.isclose(x[1], 1.0), k) for k in range(6)]
+    marks += [(3, lambda x: np.isclose(x[0], 2.0), 2)]
+    tags = tag_facets(mesh, marks, of_cell)
+    x = mesh.geometry.x
+    sheared = (x[:, 0] > 1.5) & (x[:, 0] < 3.5) & (x[:, 1] < 1.0)
+    x[sheared, 0] += (1.0 - x[sheared, 1]) / np.sqrt(3.0)
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    young = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(mesh)[1], 1.0), 50 * YOUNG, YOUNG)
+    a = young * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
+    pairs = [ContactPair(tags, 2 + k, 1 + k, name=f"joint {k}") for k in (0, 2, 4)]
+    problem = ContactProblem(a, ufl.inner(ufl.as_vector([0.0, -1.0]), v) * ufl.dx, contacts=pairs)
+    roles = [found.roles for found in problem._torn.undeformed.contacts]
+    assert [entry.used is entry.given for entry in roles] == [False, True, False]
+    assert ["are exchanged" in entry.reason for entry in roles] == [True, False, True]
+    assert "folded" in roles[1].reason
 
 
 def test_matching_nodes_have_no_roles():

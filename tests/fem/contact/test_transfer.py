@@ -15,7 +15,7 @@ from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, Plane
 from fenics_tfeti.fem.contact.contact import Terms
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
@@ -49,7 +49,7 @@ def result_of(matched, pressure):
 
 def transferred(coarse, contact, fine_match, displacement, pressure=linear):
     """Return what the fine mesh expects of the solution of a coarse one."""
-    matched = match_contact(MeshBoundary.of(coarse.V), contact, 0)
+    matched = match_contacts(MeshBoundary.of(coarse.V), [contact])[0]
     result = result_of(matched, pressure(matched.coordinates))
     solved = gather_solved([matched], [result], displacement)
     return expected_contact(solved, fine_match)

@@ -46,26 +46,29 @@ class MasterTree:
     """The pieces of a master's surface, to be found from the slave's."""
 
     def __init__(self, master: Facets) -> None:
-        x = master.coordinates()
-        self.facets, self.planes = master, Planes.of(x)
+        x = master.apart(master.pieces)
+        self.facets, self.planes = master, Planes.of(master.coordinates())
         self._tree, self._low, self._high = BoxTree(x), lowest(x), highest(x)
-        nodes = master.points[np.unique(master.pieces)]
-        self._places = cKDTree(np.concatenate([nodes, self.planes.origin]))
+        nodes = master.apart(np.unique(master.pieces))
+        self._places = cKDTree(np.concatenate([nodes, x.mean(axis=1)]))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
         """Return how far before and behind each piece (p,) the master is looked for [m]."""
         nodes, inverse = np.unique(slave.pieces, return_inverse=True)
-        distance = self._places.query(slave.points[nodes])[0]
+        distance = self._places.query(slave.apart(nodes))[0]
         farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
         reach: Vector = REACH * farthest + planes.diameter
         return reach
 
-    def candidates(self, x: Vector, planes: Planes, reach: Vector) -> tuple[Numbers, Numbers]:
+    def candidates(
+        self, slave_facets: Facets, chosen: Numbers, planes: Planes, reach: Vector
+    ) -> tuple[Numbers, Numbers]:
         """Find the pieces of the master that face those of the slave and may lie over them.
 
-        The pieces of the slave have the corners x (p, v, gdim) and their planes. Pairs (slave,
-        master) are in the order of the slave's pieces; each once.
+        They are those of chosen pieces (p,) of the slave, which have the planes and reach. Pairs
+        (slave, master) are in the order of the slave's pieces; each once.
         """
+        x = slave_facets.coordinates(chosen)
         frames = planes.project(np.arange(len(x)), x)
         low, high = lowest(frames), highest(frames)
         low[:, -1] -= reach
@@ -74,7 +77,10 @@ class MasterTree:
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         centre = planes.origin + np.einsum("fa,fad->fd", middle, planes.axes)
         extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
-        upper, lower = ((centre + side * extent).T.copy() for side in (1.0, -1.0))
+        contact = slave_facets.apart(slave_facets.pieces[chosen, 0])[:, x.shape[2] :]
+        upper, lower = (
+            np.hstack([centre + side * extent, contact]).T.copy() for side in (1.0, -1.0)
+        )
 
         def overlaps(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
             overlapping = np.ones(row.size, dtype=bool)
@@ -159,7 +165,7 @@ def overlapping_cells(
     """Find the cells of some slave facets, ascending, with all layers of the master."""
     x = slave.coordinates(chosen)
     chosen_planes = planes.chosen(chosen)
-    row, facet = master.candidates(x, chosen_planes, reach[chosen])
+    row, facet = master.candidates(slave, chosen, chosen_planes, reach[chosen])
     on_slave = chosen_planes.project(np.arange(len(x)), x)[row, :, :-1]
     frames = chosen_planes.project(row, master.facets.coordinates(facet))
     on_master = frames[..., :-1]
@@ -218,13 +224,26 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
     suspects = np.flatnonzero(gap < -size)
     if not suspects.size:
         return cells
-    facet = cells.slave[suspects]
+    facet, facets = cells.slave[suspects], master.facets
     in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
-    surface = FacetedSurface.of(master.facets)
-    signed = surface.distance(planes.origin[facet] + in_plane).signed
+    of_points = facets.contact_of(facets.pieces[cells.master[suspects], 0])
+    of_facets = facets.contact_of(facets.nodes[:, 0])
     kept = np.ones(cells.slave.size, dtype=bool)
-    kept[suspects] = signed < 0.0
+    kept[suspects] = inside(planes.origin[facet] + in_plane, of_points, facets, of_facets)
     return cells.select_pairs(kept)
+
+
+def inside(x: Vector, of_points: Numbers, facets: Facets, of_facets: Numbers) -> Mask:
+    """Tell which points (k, gdim) are inside the surface that has the number of each (k,).
+
+    The facets (f,) have the numbers of their surfaces.
+    """
+    within = np.zeros(len(x), dtype=bool)
+    for number in np.unique(of_points):
+        chosen = of_points == number
+        surface = FacetedSurface.of(Facets(facets.points, facets.nodes[of_facets == number]))
+        within[chosen] = surface.distance(x[chosen]).signed < 0.0
+    return within
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:

@@ -47,7 +47,8 @@ class MortarConditions:
     deviation: Vector  # (k,): the same less the curvature of the facets
     angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
-    covered_area: float  # covered area of this rank's slave facets, without weight [m^2 or m]
+    # covered area of this rank's slave facets of each contact, without weight [m^2 or m]
+    covered_area: Vector
 
 
 def mortar_conditions(
@@ -157,7 +158,9 @@ def _conditions(
         deviation,
         angle,
         facets,
-        float(integrals.covered.sum()),
+        np.bincount(surface.facet_contact[facets], integrals.covered, len(surface.extent)).astype(
+            np.float64, copy=False
+        ),
     )
 
 

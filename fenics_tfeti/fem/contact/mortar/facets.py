@@ -32,6 +32,9 @@ _PLACES = {
     ),
 }
 
+# Distance between contacts [m], which is exactly 0 between points of the same one.
+_APART = 1e30
+
 
 @dataclass(frozen=True)
 class Facets:
@@ -45,6 +48,7 @@ class Facets:
 
     points: Vector  # (n, gdim) [m]
     nodes: Numbers  # (f, t): rows of points
+    contact: Numbers | None = None  # (n,): of surfaces of several contacts, that of each point
 
     def __len__(self) -> int:
         """Return the number of facets."""
@@ -81,6 +85,15 @@ class Facets:
         # faster than an index
         return self.points.take(pieces, axis=0)
 
+    def contact_of(self, nodes: Numbers) -> Numbers:
+        """Return the contacts of nodes (k,)."""
+        return np.zeros_like(nodes) if self.contact is None else self.contact[nodes]
+
+    def apart(self, nodes: Numbers) -> Vector:
+        """Return the places of nodes, `apart` by contacts if there are several."""
+        x = self.points.take(nodes, axis=0)
+        return x if self.contact is None else apart(x, self.contact[nodes])
+
     def simplices(self) -> Numbers:
         """Return segments or triangles, four around the centre of each quadrilateral.
 
@@ -108,6 +121,14 @@ class Facets:
         v = corners.shape[1]
         placed: Vector = np.matmul(shape_functions(xi, v), corners[piece % per_facet])
         return placed
+
+
+def apart(x: Vector, contact: Numbers) -> Vector:
+    """Return places (..., gdim) with one more axis, along which contacts are far from each other.
+
+    Trees of points and boxes with this axis find what is near in the same contact alone.
+    """
+    return np.concatenate([x, _APART * contact[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)

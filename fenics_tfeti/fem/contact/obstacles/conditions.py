@@ -13,7 +13,7 @@ from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
 from fenics_tfeti.fem.contact.description import RigidObstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.obstacles.shapes import gap_and_normal
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summary
+from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.typing import Vector
 
@@ -45,9 +45,9 @@ def match_obstacle(
             covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
         terms = one_sided_conditions(slave, facets, covered)
         if facets.weight is not None:
-            slave.check_weight(terms.scale, np.searchsorted(slave.nodes, terms.slave), name)
+            slave.check_weight(terms.scale, np.searchsorted(slave.nodes, terms.slave), [name])
     rows = np.searchsorted(slave.nodes, terms.slave)
-    area = slave.areas(covered, name) if is_linear else terms.scale
+    area = slave.areas(covered, [name]) if is_linear else terms.scale
     if displacement is None:
         places, facing = slave.coordinates[rows], slave.normal[rows]
         gap, outward = gap_and_normal(comm, contact.obstacle, places, facing, name)
@@ -60,9 +60,12 @@ def match_obstacle(
     else:
         displacement.x.scatter_forward()
         normal, _, gap, facing = deformed_gaps(contact, name, slave, terms, displacement)
-    gap, angle = slave.without_rounding(gap), angles_between(facing, normal)
-    summary = pairing_summary(comm, name, "obstacle", gap, angle, slave.nodes.size, area=area)
-    return ContactPairing(terms, normal, gap, area, name, summary, slave, covered)
+    of_rows, angle = slave.contact[rows], angles_between(facing, normal)
+    gap = slave.without_rounding(gap, of_rows)
+    summaries = pairing_summaries(
+        comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
+    )
+    return ContactPairing(terms, normal, gap, area, summaries, slave, covered)
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

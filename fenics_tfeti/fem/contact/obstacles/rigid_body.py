@@ -296,12 +296,13 @@ class BodyFrame:
         corners, gdim = self.corners.shape
         return np.repeat(rows, corners), np.tile(self.nodes, rows.size), sums.reshape(-1, gdim)
 
-    def joined(self, rows: ContactRows, points: Vector) -> ContactRows:
-        """Return rows (k,) with the body at points (k, gdim) as the master."""
-        sums = rows.length[:, None] * rows.normal
+    def joined(self, rows: ContactRows, positions: Numbers, points: Vector) -> ContactRows:
+        """Return rows with the body at points (k, gdim) as the master at some positions (k,)."""
+        sums = (rows.length[:, None] * rows.normal)[positions]
         moved = self.displacements(self.body.prescribed_motion, points)
-        joined = rows.with_terms(*self.terms(np.arange(rows.size), points, -sums))
-        return replace(joined, gap=rows.gap + np.sum(sums * moved, axis=1))
+        joined, gap = rows.with_terms(*self.terms(positions, points, -sums)), rows.gap.copy()
+        gap[positions] += np.sum(sums * moved, axis=1)
+        return replace(joined, gap=gap)
 
 
 @dataclass(frozen=True)

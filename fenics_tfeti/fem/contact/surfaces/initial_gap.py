@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -9,8 +10,9 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.fem.contact.description import ContactPair
 from fenics_tfeti.fem.user_data import scalars_at
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 def chord_heights(
@@ -57,15 +59,30 @@ def _middle(i: int, j: int, v: int) -> int:
     return v - 1 if j == v - 1 and i == 0 else v
 
 
-def initial_gap(
-    comm: MPI.Intracomm, value: Any, gap: Vector, chord: Vector, points: Vector, name: str
+def initial_gaps(
+    comm: MPI.Intracomm,
+    pairs: Sequence[ContactPair],
+    contact: Numbers,
+    gap: Vector,
+    chord: Vector,
+    points: Vector,
+    names: Sequence[str],
 ) -> Vector:
-    """Return the initial gaps (k,) of a contact's conditions. Collective.
+    """Return the initial gaps (k,) of conditions of contacts (k,). Collective.
 
-    For the argument see `ContactPair`. The gaps (k,) are those of the mesh, the chords the
-    distances of its facets from the curved surfaces there [m].
+    For the values see `ContactPair`. The gaps (k,) are those of the mesh, the chords the distances
+    of its facets from the curved surfaces there [m].
     """
-    if isinstance(value, str):
-        # twice: the normals at a surface's border see half of the curvature
-        return np.where(np.abs(gap) <= 2.0 * chord, 0.0, gap) if value == "touching" else gap
+    touching = np.array([pair.initial_gap == "touching" for pair in pairs])
+    # twice: the normals at a surface's border see half of the curvature
+    gap = np.where(touching[contact] & (np.abs(gap) <= 2.0 * chord), 0.0, gap)
+    for k, (pair, name) in enumerate(zip(pairs, names, strict=True)):
+        if not isinstance(pair.initial_gap, str):
+            rows = contact == k
+            gap[rows] = user_gaps(comm, pair.initial_gap, points[rows], name)
+    return gap
+
+
+def user_gaps(comm: MPI.Intracomm, value: Any, points: Vector, name: str) -> Vector:
+    """Evaluate the gaps (k,) that a user gives at points (k, 3). Collective."""
     return scalars_at(comm, value, points, points.shape[1], f"{name}: initial_gap")

@@ -43,9 +43,11 @@ def gather_nearby(
     if displacement is not None:
         points = points + boundary.nodes.values(displacement)
     rows, nodes = (part.facet_nodes.astype(np.int64) for part in (surface, other))
+    facets = Facets(points, rows, boundary.nodes.contact)
+    points = facets.apart(np.arange(len(points)))
     tree = BoxTree(points[rows])
     nodes = np.concatenate([nodes, np.repeat(other.local[:, None], nodes.shape[1], axis=1)])
-    distance = _distances(comm, points, nodes, rows, tree)
+    distance = _distances(comm, points, nodes, facets, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     chosen = facets_in_boxes(comm, needed, tree)
     messages = [surface.part(displacement, rows) for rows in chosen]
@@ -53,7 +55,7 @@ def gather_nearby(
 
 
 def _distances(
-    comm: MPI.Intracomm, points: Vector, nodes: Numbers, rows: Numbers, tree: BoxTree
+    comm: MPI.Intracomm, points: Vector, nodes: Numbers, facets: Facets, tree: BoxTree
 ) -> Vector:
     """Return the distance (n,) of each local node on the other surface's facets from the surface.
 
@@ -67,8 +69,8 @@ def _distances(
     nearest, farthest = zip(*(_range(x, low, high) for low, high in boxes), strict=True)
     queries = [np.flatnonzero(part <= np.min(farthest, axis=0)) for part in nearest]
     received = all_to_all(comm, [x[query] for query in queries])
-    corners = Facets(points, rows).coordinates()
-    places = cKDTree(np.concatenate([points[np.unique(rows)], corners.mean(axis=1)]))
+    centres = points[facets.pieces].mean(axis=1)
+    places = cKDTree(np.concatenate([points[np.unique(facets.nodes)], centres]))
     answers = [places.query(part)[0] for part in received]
     closest = np.full(len(x), np.inf)
     for query, answer in zip(queries, all_to_all(comm, answers), strict=True):

@@ -21,6 +21,7 @@ import numpy as np
 
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -41,22 +42,13 @@ _ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
 _DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
 
 
-def prescribed_components(surface: Surface, prescribed: Prescribed) -> Mask:
-    """Tell which components (k, gdim) of a surface's nodes, on this rank, are prescribed."""
-    mask = np.zeros_like(surface.normal, dtype=bool)
-    if surface.nodes.size:
-        rows = np.minimum(np.searchsorted(surface.nodes, prescribed.nodes), surface.nodes.size - 1)
-        owned = surface.nodes[rows] == prescribed.nodes
-        mask[rows[owned], prescribed.components[owned]] = True
+def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
+    """Tell which components (n, gdim) of nodes that this rank owns are prescribed; no ghosts'."""
+    mask = np.zeros((nodes.size, nodes.components), dtype=bool)
+    local = prescribed.nodes - nodes.first
+    owned = (local >= 0) & (local < nodes.owned)
+    mask[local[owned], prescribed.components[owned]] = True
     return mask
-
-
-def still_holds(surface: Surface, prescribed: Prescribed, mask: Mask) -> bool:
-    """Tell whether mortar conditions of prescribed components (k, gdim) hold. Collective."""
-    if surface.boundary.weight is not None:
-        return False
-    same = np.array_equal(prescribed_components(surface, prescribed), mask)
-    return bool(surface.comm.allreduce(same, MPI.LAND))
 
 
 def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
@@ -84,27 +76,46 @@ def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
 
 
 def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vector:
-    """Return normals across the axis where nodes in contact are on a round cylinder. Collective.
+    """Return normals across the axis where nodes in contact are on round cylinders. Collective.
 
-    The nodes (k,) with contact conditions have the normals (k, gdim). The slave's surface may have
+    The nodes (k,) with contact conditions have the normals (k, gdim). The slaves' surfaces may have
     other facets, such as a pin's ends: normals of nodes with facets off the cylinder stay as they
     are.
     """
     if normal.shape[1] != 3:
         return normal
     rows = np.searchsorted(surface.nodes, nodes)
-    cylinder = Cylinder.of(surface.comm, surface.points[rows], normal)
-    if cylinder is None:
+    contact, corners = surface.contact[rows], surface.corners
+    axes, limits = np.zeros((len(surface.extent), 3)), np.zeros(len(surface.extent))
+    distance = np.zeros(corners.shape[:2])
+    for k in np.flatnonzero(_are_curved(surface, contact, normal)):
+        of_contact, of_facets = contact == k, surface.facet_contact == k
+        points = surface.points[rows[of_contact]]
+        if cylinder := Cylinder.of(surface.comm, points, normal[of_contact]):
+            axes[k], limits[k] = cylinder.axis, cylinder.tolerance
+            places = corners[of_facets]
+            on = np.abs(cylinder.distance(places.reshape(-1, 3)))
+            distance[of_facets] = on.reshape(places.shape[:2])
+    if not axes.any():
         return normal
-    corners = surface.corners
-    distance = np.abs(cylinder.distance(corners.reshape(-1, 3))).reshape(corners.shape[:2])
     farthest = surface.max_of_facets(distance.max(axis=1))[rows]
-    tilt = normal @ cylinder.axis
-    corrected = (farthest <= cylinder.tolerance) & (np.abs(tilt) > COORDINATE_ROUNDING)
-    radial = normal[corrected] - np.outer(tilt[corrected], cylinder.axis)
+    tilt = np.sum(normal * axes[contact], axis=1)
+    corrected = (farthest <= limits[contact]) & (np.abs(tilt) > COORDINATE_ROUNDING)
+    radial = (normal - tilt[:, None] * axes[contact])[corrected]
     normal = normal.copy()
     normal[corrected] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
     return normal
+
+
+def _are_curved(surface: Surface, contact: Numbers, normal: Vector) -> Mask:
+    """Tell which contacts have normals along more than one direction. Collective."""
+    sums = np.zeros((len(surface.extent), 10))
+    products = (normal[:, :, None] * normal[:, None]).reshape(-1, 9)
+    np.add.at(sums, contact, np.column_stack([products, np.ones(len(normal))]))
+    surface.comm.Allreduce(MPI.IN_PLACE, sums)
+    squares = np.linalg.eigvalsh(sums[:, :9].reshape(-1, 3, 3) / np.maximum(sums[:, 9:, None], 1.0))
+    curved: Mask = squares[:, 1] >= _CURVED**2
+    return curved
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,12 @@ class SurfaceFacets:
             np.concatenate(columns)[first]
             for columns in zip(*((p.facets.points, p.displacement) for p in parts), strict=True)
         )
-        return SurfaceFacets(nodes, Facets(points, np.searchsorted(nodes, facets)), moves)
+        of_parts = [part.facets.contact for part in parts]
+        contact = None
+        if of_parts[0] is not None:
+            contact = np.concatenate([part for part in of_parts if part is not None])[first]
+        joined = Facets(points, np.searchsorted(nodes, facets), contact)
+        return SurfaceFacets(nodes, joined, moves)
 
     @property
     def points(self) -> Vector:
@@ -70,17 +75,20 @@ class SurfaceFacets:
         np.add.at(size, pieces, np.linalg.norm(weighted, axis=2))
         return total, size
 
-    def check_not_folded(self, name: str) -> None:
+    def check_not_folded(self, *names: str) -> None:
         """Check that the normals of the facets around each node do not cancel."""
         total, size = self._integrals
         length = np.linalg.norm(total, axis=1)
         folded = np.flatnonzero(length <= VANISHING_NORMAL * size)
         if folded.size:
+            of_nodes = self.facets.contact_of(folded)
+            contact = of_nodes.min()
+            folded = folded[of_nodes == contact]
             place = format_point(self.points[folded[0]], float(np.abs(self.points).max()))
             raise InputError(
-                f"{name}: the displacement has folded the slave's facets at {folded.size} nodes, "
-                f"the first now at {place}: their normals cancel. Check the loads, and whether the "
-                "displacements are small enough for linear elasticity"
+                f"{names[contact]}: the displacement has folded the slave's facets at "
+                f"{folded.size} nodes, the first now at {place}: their normals cancel. Check the "
+                "loads, and whether the displacements are small enough for linear elasticity"
             )
 
     def from_corners(self, values: Vector) -> Vector:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -77,15 +78,18 @@ class MeshBoundary:
         scalar = Function(_compat.lagrange_space(self.space.mesh, 1))
         _compat.interpolate_expression(self.weight, scalar)
         scalar.x.scatter_forward()
-        values = np.zeros(self.nodes.size)
+        values = np.zeros(NodeMap(self.space).size)
         # the two spaces may number their nodes differently
         values[vertex_nodes(self.space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
-        return values
+        return self.nodes.copied(values)
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A tagged surface; of the nodes at its vertices, those that this rank owns."""
+    """Tagged surfaces, one of each contact; of the nodes at vertices, those that this rank owns.
+
+    Surfaces of several contacts have `ContactNodes`, by whose numbers they are apart.
+    """
 
     boundary: MeshBoundary
     nodes: Numbers  # global nodes of the displacement's space at the vertices of facets (k,)
@@ -93,15 +97,7 @@ class Surface:
     area: Vector  # (k,): turns a uniform pressure into the normal force, without weight [m^2 or m]
     size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
-    extent: float  # largest coordinate of the surface by magnitude, over all ranks [m]
-
-    @staticmethod
-    def none(boundary: MeshBoundary, extent: float) -> Surface:
-        """Return the part of a surface of a rank that has no facets and nodes of it."""
-        nodes, of_nodes = np.zeros(0, dtype=np.int64), np.zeros(0)
-        normal = np.zeros((0, boundary.nodes.components))
-        facets = oriented_facets(boundary.space, nodes.astype(np.int32))
-        return Surface(boundary, nodes, normal, of_nodes, of_nodes, facets, extent)
+    extent: Vector  # largest coordinates of each surface by magnitude, over all ranks [m]
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -113,6 +109,20 @@ class Surface:
         """Local numbers of the nodes (k,)."""
         local: Numbers = self.nodes - self.boundary.nodes.first
         return local
+
+    @cached_property
+    def contact(self) -> Numbers:
+        """The contacts of the nodes (k,)."""
+        return self._contact_of(self.local)
+
+    @cached_property
+    def facet_contact(self) -> Numbers:
+        """The contacts of the facets (f,)."""
+        return self._contact_of(self.facet_nodes[:, 0])
+
+    def _contact_of(self, local: Numbers | Indices) -> Numbers:
+        contact = self.boundary.nodes.contact
+        return np.zeros(len(local), dtype=np.int64) if contact is None else contact[local]
 
     @cached_property
     def coordinates(self) -> Vector:
@@ -134,9 +144,10 @@ class Surface:
         """The places (f, v, gdim) of the facets' corners [m]."""
         return self.boundary.coordinates[self.vertices, : self.normal.shape[1]]
 
-    def without_rounding(self, lengths: Vector) -> Vector:
-        """Set lengths [m] to zero that are no more than the rounding of coordinates."""
-        return np.where(np.abs(lengths) <= COORDINATE_ROUNDING * self.extent, 0.0, lengths)
+    def without_rounding(self, lengths: Vector, contact: Numbers) -> Vector:
+        """Set lengths (q,) [m] to zero that are no more than the rounding of coordinates."""
+        rounding = COORDINATE_ROUNDING * self.extent[contact]
+        return np.where(np.abs(lengths) <= rounding, 0.0, lengths)
 
     def at_corners(self, values: Array) -> Array:
         """Return values (k, ...) at owned nodes at the facets' corners (f, v, ...). Collective."""
@@ -169,23 +180,25 @@ class Surface:
         area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
         return area
 
-    def check_weight(self, weighted: Vector, rows: Numbers | slice, name: str) -> None:
+    def check_weight(self, weighted: Vector, rows: Numbers | slice, names: Sequence[str]) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
         mean, points = weighted / self.area[rows], self.points[rows]
-        if bad := first_wrong(self.comm, ~np.isfinite(mean), points):
+        contact = self.contact[rows]
+        if bad := first_wrong(self.comm, ~np.isfinite(mean), points, contact):
             raise InputError(
-                f"slave of {name}: measure_weight is NaN or infinite around {bad.number} nodes, "
-                f"the first at {bad.place}"
+                f"slave of {names[bad.contact]}: measure_weight is NaN or infinite around "
+                f"{bad.number} nodes, the first at {bad.place}"
             )
-        largest = self.comm.allreduce(float(np.abs(mean).max(initial=0.0)), MPI.MAX)
-        if bad := first_wrong(self.comm, mean <= RELATIVE_ROUNDING * largest, points):
+        largest = extremes(self.comm, np.abs(mean), contact, len(self.extent), 0.0)[contact]
+        if bad := first_wrong(self.comm, mean <= RELATIVE_ROUNDING * largest, points, contact):
             raise InputError(
-                f"slave of {name}: measure_weight is negative or zero around {bad.number} nodes, "
+                f"slave of {names[bad.contact]}: measure_weight is negative or zero around "
+                f"{bad.number} nodes, "
                 f"the first at {bad.place}: as the factor of ds it has to be positive there. Has "
                 "the mesh nodes of negative radius, or is a surface on the axis tagged?"
             )
 
-    def areas(self, covered: Mask, name: str) -> Vector:
+    def areas(self, covered: Mask, names: Sequence[str]) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.
 
         The areas are (k,) [m^2 or m], times the weight of the measure; `covered` (f,) are the
@@ -194,7 +207,7 @@ class Surface:
         area, weight = self.area, self.boundary.nodal_weight()
         if weight is not None:
             area = self.share_of_area(np.ones_like(covered), weight)
-            self.check_weight(area, slice(None), name)
+            self.check_weight(area, slice(None), names)
         if self.comm.allreduce(bool(covered.all()), MPI.LAND):
             return area
         covered_area = self.share_of_area(covered, weight)
@@ -216,7 +229,13 @@ class Surface:
         moves = np.zeros_like(points)
         if displacement is not None:
             moves = boundary.nodes.values(displacement)[local]
-        return SurfaceFacets(nodes, Facets(points + moves, inverse.reshape(rows.shape)), moves)
+        contact = boundary.nodes.contact
+        facets = Facets(
+            points + moves,
+            inverse.reshape(rows.shape),
+            None if contact is None else contact[local],
+        )
+        return SurfaceFacets(nodes, facets, moves)
 
     def oriented_part(self, displacement: Function | None = None) -> SurfaceFacets:
         """Return the facets of this rank with the surface's normals and the weight. Collective."""
@@ -234,13 +253,25 @@ class Surface:
         """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
         return SurfaceFacets.joined(self.comm.allgather(self.part(displacement)))
 
+    def separated(self, boundary: MeshBoundary) -> list[Surface]:
+        """Return the surface of each contact, in the numbers of the mesh's boundary."""
+        originals = self.boundary.nodes.copied(np.arange(boundary.nodes.size))
+        numbers, count = boundary.nodes.first + originals[self.local], len(self.extent)
+        at_nodes = (numbers, self.normal, self.area, self.size)
+        columns = [split(self.contact, values, count) for values in at_nodes]
+        facet_nodes = originals[self.facet_nodes].astype(np.int32)
+        columns += [split(self.facet_contact, facet_nodes, count), np.split(self.extent, count)]
+        return [Surface(boundary, *of_contact) for of_contact in zip(*columns, strict=True)]
+
     def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
-        columns = (self.nodes, self.points, self.normal, self.size)
-        nodes, points, normal, size = (concatenate_ranks(self.comm, column) for column in columns)
+        columns = [
+            concatenate_ranks(self.comm, column)
+            for column in (self.nodes, self.points, self.normal, self.size, self.contact)
+        ]
         # of equally near nodes, the same is then chosen however the mesh is distributed
-        order = coordinate_order(points)
-        return SurfaceNodes(nodes[order], points[order], normal[order], size[order])
+        order = coordinate_order(columns[1])
+        return SurfaceNodes(*(column[order] for column in columns))
 
 
 @dataclass(frozen=True)
@@ -251,11 +282,12 @@ class SurfaceNodes:
     points: Vector  # (m, gdim) [m]
     normal: Vector  # outward unit normals (m, gdim)
     size: Vector  # (m,): mean edge length of the smallest of the facets at the node [m]
+    contact: Numbers  # (m,)
 
     def without(self, nodes: Numbers) -> SurfaceNodes:
         """Leave out some nodes."""
         kept = ~np.isin(self.nodes, nodes)
-        return SurfaceNodes(self.nodes[kept], self.points[kept], self.normal[kept], self.size[kept])
+        return SurfaceNodes(*(column[kept] for column in vars(self).values()))
 
 
 def tagged_surface(
@@ -269,92 +301,120 @@ def tagged_surface(
 
     `label` is its name in messages. By default normals are area-weighted averages of the facets'.
     """
-    space, nodes = boundary.space, boundary.nodes
-    domain, comm = space.mesh, nodes.comm
-    gdim = domain.geometry.dim
+    (facets,) = tagged_facets(boundary, [(facet_tags, tag, label)])
+    return surface_of(boundary, oriented_facets(boundary.space, facets), [label], user_normal)
+
+
+def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]) -> list[Indices]:
+    """Return this rank's facets of each tag, all of them on the boundary. Collective.
+
+    Given are meshtags, the tag and the name of the surface in messages: of the first wrong one.
+    """
+    domain, comm = boundary.space.mesh, boundary.nodes.comm
+    dim = domain.topology.dim - 1
     with raise_collectively(comm):
-        if not _compat.tags_are_on(facet_tags, domain):
-            raise InputError(f"{label}: facet_tags belong to another mesh than the displacement")
-        dim = domain.topology.dim - 1
-        if facet_tags.dim != dim:
-            raise InputError(
-                f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets have "
-                f"dimension {dim}"
-            )
-    facets = owned_facets(domain, facet_tags, tag)
-    facet_nodes = oriented_facets(space, facets)
-    corners = boundary.coordinates[facet_nodes[:, : cell_type(domain).facet.vertices], :gdim]
-    _check_facets(boundary, facet_tags, tag, facets, corners.mean(axis=1), label)
-    return surface_of(boundary, facet_nodes, label, user_normal)
+        for facet_tags, _, label in tagged:
+            if not _compat.tags_are_on(facet_tags, domain):
+                raise InputError(
+                    f"{label}: facet_tags belong to another mesh than the displacement"
+                )
+            if facet_tags.dim != dim:
+                raise InputError(
+                    f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets "
+                    f"have dimension {dim}"
+                )
+    facets = [owned_facets(domain, facet_tags, tag) for facet_tags, tag, _ in tagged]
+    number = np.array([part.size for part in facets])
+    comm.Allreduce(MPI.IN_PLACE, number)
+    for facet_tags, tag, label in (tagged[k] for k in np.flatnonzero(number == 0)[:1]):
+        existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
+        raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
+    every = np.concatenate(facets)
+    inside = ~boundary.exterior[every]
+    nodes = oriented_facets(boundary.space, every[inside])
+    middles = boundary.coordinates[nodes[:, : cell_type(domain).facet.vertices]].mean(axis=1)
+    places = np.zeros((every.size, domain.geometry.dim))
+    places[inside] = middles[:, : domain.geometry.dim]
+    of_facets = np.repeat(np.arange(len(tagged)), [part.size for part in facets])
+    if bad := first_wrong(comm, inside, places, of_facets):
+        _, tag, label = tagged[bad.contact]
+        raise InputError(
+            f"{label}: {bad.number} of the {number[bad.contact]} facets with tag {tag} are inside "
+            f"a body, or between bodies that share their nodes, the first around {bad.place}: only "
+            "facets on the boundary can touch. Bodies that share nodes, as Gmsh's fragment makes "
+            "them, get nodes of their own by fenics_tfeti.io.split_interfaces"
+        )
+    return facets
 
 
 def surface_of(
     boundary: MeshBoundary,
     facet_nodes: Indices,
-    label: str,
+    labels: Sequence[str],
     user_normal: VectorField | None = None,
 ) -> Surface:
-    """Return the surface of facets (f, t), this rank's part; see `tagged_surface`. Collective."""
+    """Return the surfaces of facets (f, t), this rank's part; see `tagged_surface`. Collective."""
     nodes, comm, gdim = boundary.nodes, boundary.nodes.comm, boundary.nodes.components
     x = boundary.coordinates[facet_nodes, :gdim]
     vertices = facet_nodes[:, : cell_type(boundary.space.mesh).facet.vertices]
-    corners = x[:, : vertices.shape[1]]
     numbers = nodes.to_global(vertices.ravel())
-    local = np.unique(nodes.to_owners(numbers)[0])
-    coordinates = boundary.coordinates[local]
-    extent = comm.allreduce(float(np.abs(coordinates).max(initial=0.0)), MPI.MAX)
     weighted = corner_normals(x)
     sizes = np.linalg.norm(weighted, axis=2, keepdims=True)
+    # of a segment both edges are the segment
+    edges = edge_lengths(x[:, : vertices.shape[1]]).mean(axis=1)
+    local = np.unique(nodes.to_owners(numbers)[0])
     integrals = np.concatenate([weighted, sizes], axis=2).reshape(-1, gdim + 1)
     sums = nodes.sum_at_owners(numbers, integrals)[local]
-    # of a segment both edges are the segment
-    edges = edge_lengths(corners).mean(axis=1)
     size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
-    normal, area = _normals_and_areas(
-        comm, sums[:, :gdim], sums[:, gdim], coordinates, user_normal, label
+    none = np.zeros((0, gdim))
+    surface = Surface(
+        boundary, local + nodes.first, none, sums[:, gdim], size, facet_nodes, np.zeros(len(labels))
     )
-    return Surface(boundary, local + nodes.first, normal, area, size, facet_nodes, extent)
+    coordinates, contact = boundary.coordinates[local], surface.contact
+    extent = extremes(comm, np.abs(coordinates).max(axis=1), contact, len(labels), 0.0)
+    normal, area = _normals_and_areas(comm, sums[:, :gdim], surface, user_normal, labels)
+    return replace(surface, normal=normal, area=area, extent=extent)
 
 
-def _check_facets(
-    boundary: MeshBoundary, facet_tags: Any, tag: int, facets: Indices, middles: Vector, label: str
-) -> None:
-    comm = boundary.nodes.comm
-    number = comm.allreduce(facets.size)
-    if number == 0:
-        existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
-        raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
-    if bad := first_wrong(comm, ~boundary.exterior[facets], middles):
-        raise InputError(
-            f"{label}: {bad.number} of the {number} facets with tag {tag} are inside a body, or "
-            f"between bodies that share their nodes, the first around {bad.place}: only facets on "
-            "the boundary can touch. Bodies that share nodes, as Gmsh's fragment makes them, get "
-            "nodes of their own by fenics_tfeti.io.split_interfaces"
-        )
+def split(contact: Numbers, values: Array | None, count: int) -> list[Any]:
+    """Return the values (k, ...) of each of the contacts (k,), which ascend."""
+    if values is None:
+        return [None] * count
+    return np.split(values, np.searchsorted(contact, np.arange(1, count)))
+
+
+def extremes(
+    comm: MPI.Intracomm, values: Vector, contact: Numbers, contacts: int, initial: float
+) -> Vector:
+    """Return the largest of the values (k,) of each contact, over all ranks. Collective."""
+    largest = np.full(contacts, initial)
+    np.maximum.at(largest, contact, values)
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    return largest
 
 
 def _normals_and_areas(
     comm: MPI.Intracomm,
     weighted: Vector,
-    facet_area: Vector,
-    coordinates: Vector,
+    surface: Surface,
     user_normal: VectorField | None,
-    label: str,
+    labels: Sequence[str],
 ) -> tuple[Vector, Vector]:
     """Return unit normals and areas (k,) from integrals of the normal and of its length."""
-    gdim = weighted.shape[1]
+    gdim, x, contact = weighted.shape[1], surface.coordinates, surface.contact
     length = np.linalg.norm(weighted, axis=1)
-    minimum = VANISHING_NORMAL * facet_area
+    minimum = VANISHING_NORMAL * surface.area
     if user_normal is None:
-        if bad := first_wrong(comm, length <= minimum, coordinates[:, :gdim]):
+        if bad := first_wrong(comm, length <= minimum, x[:, :gdim], contact):
             raise InputError(
-                f"{label}: the normals of the facets around {bad.number} nodes cancel, the first "
-                f"at {bad.place}: tag one side of an edge only, or give a normal"
+                f"{labels[bad.contact]}: the normals of the facets around {bad.number} nodes "
+                f"cancel, the first at {bad.place}: tag one side of an edge only, or give a normal"
             )
         return weighted / length[:, None], length
-    normal = unit_vectors(comm, user_normal, coordinates, gdim, f"the normal of the {label}")
+    (label,) = labels
+    normal = unit_vectors(comm, user_normal, x, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
-    if bad := first_wrong(comm, area <= minimum, coordinates[:, :gdim]):
+    if bad := first_wrong(comm, area <= minimum, x[:, :gdim]):
         raise InputError(
             f"the normal of the {label} points into the body or along its surface at {bad.number} "
             f"nodes, the first at {bad.place}: it has to point out of the slave, as the facets' do"

@@ -12,7 +12,8 @@ from fenics_tfeti.fem.contact.mortar.facets import Planes
 
 def candidates(slave, master):
     planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
-    return tree.candidates(slave.coordinates(), planes, tree.reach(slave, planes))
+    chosen = np.arange(len(slave.pieces))
+    return tree.candidates(slave, chosen, planes, tree.reach(slave, planes))
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.1, 50.0, -0.3])

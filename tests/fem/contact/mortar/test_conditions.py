@@ -9,7 +9,7 @@ from mortar_blocks import LOWER, UPPER, Blocks
 import ufl
 
 from fenics_tfeti import ContactPair, Nearest
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
@@ -46,7 +46,7 @@ def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_terms_of_a_condition(cell):
     V, tags = scene(Blocks(cell, 3, 4, width=0.63))
-    pairing = match_contact(MeshBoundary.of(V), ContactPair(tags, LOWER, UPPER), 0)
+    pairing = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
     terms = pairing.terms
     np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], pairing.slave)
     assert (pairing.area > 0.0).all()
@@ -71,7 +71,7 @@ def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
     beams.mesh.geometry.x[beams.nodes(2), beams.gdim - 1] += height
     boundary, tags = MeshBoundary.of(beams.V), beams.facet_tags
     mortar, pairs = (
-        match_contact(boundary, ContactPair(tags, UPPER, LOWER, partners=kind), 0)
+        match_contacts(boundary, [ContactPair(tags, UPPER, LOWER, partners=kind)])[0]
         for kind in ("mortar", Nearest())
     )
     np.testing.assert_array_equal(np.diff(mortar.terms.offsets), 2)
@@ -93,7 +93,7 @@ def test_normal_of_a_condition_with_the_function_of_a_barely_covered_node():
         return np.array([x[0], np.ones_like(x[0])]) / np.hypot(x[0], 1.0)
 
     pair = ContactPair(tags, LOWER, UPPER, normal=normals)
-    pairing = match_contact(MeshBoundary.of(V), pair, 0)
+    pairing = match_contacts(MeshBoundary.of(V), [pair])[0]
     x = pairing.coordinates[:, 0].round(15)
     expected = normals(x[None]).T
     expected[x == 0.5] = normals(np.array([[0.5, 0.75]])) @ [0.125 + 0.08, 0.02]
@@ -106,7 +106,7 @@ def test_linear_weight_of_the_measure():
     V, tags = scene(Blocks("quadrilateral", 3, 4))
     radius = 1.0 + ufl.SpatialCoordinate(V.mesh)[0]
     pair = ContactPair(tags, LOWER, UPPER)
-    pairing = match_contact(MeshBoundary.of(V, 2.0 * radius), pair, 0)
+    pairing = match_contacts(MeshBoundary.of(V, 2.0 * radius), [pair])[0]
     assert pairing.area.sum() == pytest.approx(3.0)
     assert pairing.summary["covered_area"] == pytest.approx(1.0)
 

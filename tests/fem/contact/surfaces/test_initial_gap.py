@@ -15,7 +15,7 @@ from strips import bend, matched, strips
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gap
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, user_gaps
 from fenics_tfeti.io import displacement_space
 
 WAYS = (Nearest(), "mortar")
@@ -97,9 +97,8 @@ def test_touching_nodes_of_matching_meshes():
     ],
 )
 def test_functions_that_return_no_gaps(function, message):
-    nothing = np.zeros(2)
     with pytest.raises(InputError, match=message):
-        initial_gap(MPI.COMM_SELF, function, nothing, nothing, np.ones((2, 3)), "joint")
+        user_gaps(MPI.COMM_SELF, function, np.ones((2, 3)), "joint")
 
 
 def test_deviation_of_curved_facets():

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, as_ufl_weight
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
@@ -83,7 +83,7 @@ def test_a_changed_weight_is_noticed(obstacle):
     ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)))
     contact = ground if obstacle else ContactPair(tags, SLAVE, MASTER)
     boundary = MeshBoundary.of(V, weight)
-    first = match_contact(boundary, contact, 0)
+    first = match_contacts(boundary, [contact])[0]
     weight.value = 2.0
-    second = match_contact(boundary, contact, 0, first)
+    second = match_contacts(boundary, [contact], [(contact, first)])[0]
     np.testing.assert_allclose(second.area, 2.0 * first.area, rtol=1e-14)

@@ -9,13 +9,14 @@ from strips import bend, strips
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair
-from fenics_tfeti.fem.contact.matching import match_contact
+from fenics_tfeti.fem.contact.matching import match_contacts
 from fenics_tfeti.fem.contact.surfaces.normals import (
     normals_in_symmetry_planes,
     prescribed_components,
 )
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.displacement import prescribed_values
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Prescribed
 
 
@@ -30,7 +31,9 @@ def held(V, axis, x, component):
 
 def normals(V, tags, prescribed):
     surface = tagged_surface(MeshBoundary.of(V), tags, SLAVE, "slave")
-    corrected = normals_in_symmetry_planes(surface, prescribed_components(surface, prescribed))
+    corrected = normals_in_symmetry_planes(
+        surface, prescribed_components(surface.boundary.nodes, prescribed)[surface.local]
+    )
     order = np.argsort(surface.coordinates[:, 0])
     return surface.normal[order], corrected[order]
 
@@ -59,18 +62,17 @@ def test_prescribed_normal_displacement_keeps_the_normal():
 
 
 def test_no_prescribed_components():
-    V, tags = strips()
-    surface = tagged_surface(MeshBoundary.of(V), tags, SLAVE, "slave")
-    assert not prescribed_components(surface, Prescribed()).any()
+    V, _ = strips()
+    assert not prescribed_components(NodeMap(V), Prescribed()).any()
 
 
 def test_conditions_are_anew_where_other_components_are_prescribed():
     V, tags = strips((8, 2), (5, 2))
     bend(V, lambda x: x[:, 1] > 1.05, lambda x: x + np.outer(x[:, 0] ** 2, [0.0, 0.3, 0.0]))
     boundary, pair = MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER)
-    first = match_contact(boundary, pair, 0)
-    assert match_contact(boundary, pair, 0, first) is first
-    second = match_contact(boundary, pair, 0, first, held(V, 0, 0.0, 0))
+    first = match_contacts(boundary, [pair])[0]
+    assert match_contacts(boundary, [pair], [(pair, first)])[0] is first
+    second = match_contacts(boundary, [pair], [(pair, first)], held(V, 0, 0.0, 0))[0]
     at_plane = np.isclose(first.coordinates[:, 0], 0.0)
     assert np.abs(first.normal[at_plane, 0]).min() > 0.03
     np.testing.assert_allclose(second.normal[at_plane, 0], 0.0, atol=1e-15)

@@ -1,0 +1,245 @@
+"""The conditions of pairs of surfaces, of many pairs at once (sec. 11.1).
+
+The surfaces of all pairs are joined to one slave and one master, whose nodes are there once for
+each pair, see `ContactNodes`: what is found for one pair of surfaces is found for all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeAlias
+
+import numpy as np
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.description import ContactPair, Nearest, NodePartners
+from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, mortar_conditions
+from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.nodes import match_nodes, meshes_match, shared_nodes
+from fenics_tfeti.fem.contact.pairing_summary import pairing_summaries
+from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gaps
+from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes, without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.contact.surfaces.tagged import (
+    MeshBoundary,
+    Surface,
+    surface_of,
+    tagged_facets,
+)
+from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.fem.user_data import VectorField
+from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.typing import Indices, Mask, Numbers
+
+NamedPair: TypeAlias = tuple[str, ContactPair]
+Parts: TypeAlias = Mapping[int, tuple[NamedPair, Indices, Indices]]  # facets of slave and master
+
+
+def match_pairs(
+    boundary: MeshBoundary, pairs: Sequence[NamedPair], fixed: Mask
+) -> list[ContactPairing]:
+    """Find the slave's nodes, normals, partners and gaps of pairs, this rank's part. Collective.
+
+    Of the master's facets each rank gets those near its slave facets. Pairs with normals or
+    partners of the user are matched one by one, all others at once. For the mask see
+    `prescribed_components`.
+    """
+    if not pairs:
+        return []
+    for name, contact in pairs:
+        if isinstance(contact.partners, NodePartners) and boundary.degree > 1:
+            raise InputError(
+                f"{name}: partners={type(contact.partners).__name__}(...) asks for conditions "
+                "between pairs of nodes, which are for displacements of degree 1; this one is of "
+                f"degree {boundary.degree}. Leave it out: the conditions are mortar conditions then"
+            )
+    tagged = [
+        (contact.facet_tags, tag, f"{role} of {name}")
+        for name, contact in pairs
+        for role, tag in (("slave", contact.slave), ("master", contact.master))
+    ]
+    facets = tagged_facets(boundary, tagged)
+    parts = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
+    alone = [
+        contact.normal is not None or isinstance(contact.partners, NodePartners)
+        for _, contact in pairs
+    ]
+    together = [k for k, single in enumerate(alone) if not single]
+    groups = [together] * bool(together) + [[k] for k, single in enumerate(alone) if single]
+    found: dict[int, ContactPairing] = {}
+    for group in groups:
+        found |= _matched(boundary, {k: parts[k] for k in group}, fixed)
+    return [found[k] for k in range(len(pairs))]
+
+
+def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, ContactPairing]:
+    """Match pairs that are alike in the user's partners and normals, by number. Collective."""
+    pairs, *sides = zip(*parts.values(), strict=True)
+    names, contacts = zip(*pairs, strict=True)
+    slave, tagged_master = _joined(boundary, names, sides, contacts[0].normal)
+    how, near = contacts[0].partners, Nearest()
+    if isinstance(how, NodePartners):
+        found = match_nodes(names, contacts, how, slave, tagged_master)
+    else:
+        master = gather_nearby(tagged_master, slave)
+        partial = np.array([contact.partial for contact in contacts])
+        shared = shared_nodes(names, slave, master.nodes, tagged_master, partial)
+        with raise_collectively(slave.comm):
+            master.check_not_folded(*names)
+        match = np.array([contact.partners is None for contact in contacts])
+        match &= boundary.degree == 1
+        if match.any():
+            match &= meshes_match(slave, master, near.tolerance)
+        if match.any() and not match.all():
+            kinds = [
+                {k: part for (k, part), chosen in zip(parts.items(), mask, strict=True) if chosen}
+                for mask in (match, ~match)
+            ]
+            first, second = (_matched(boundary, kind, fixed) for kind in kinds)
+            return first | second
+        if match.all():
+            found = match_nodes(names, contacts, near, slave, tagged_master)
+        else:
+            fixed = slave.boundary.nodes.copied(fixed)[slave.local]
+            found = _match_by_mortar(names, contacts, slave, tagged_master, master, shared, fixed)
+    if contacts[0].normal is None:
+        normal = without_axial_tilt(slave, found.terms.slave, found.normal)
+        found = replace(found, normal=normal)
+    return dict(zip(parts, found.separated(boundary), strict=True))
+
+
+def _joined(
+    boundary: MeshBoundary,
+    names: Sequence[str],
+    sides: Sequence[Sequence[Indices]],
+    normal: VectorField | None,
+) -> list[Surface]:
+    """Return the slave and the master of the facets of all pairs, slaves first. Collective."""
+    every = [*sides[0], *sides[1]]
+    sizes = [part.size for part in every]
+    facets = oriented_facets(boundary.space, np.concatenate(every))
+    nodes = ContactNodes(
+        boundary.nodes, facets, np.repeat(np.arange(len(every)) % len(names), sizes)
+    )
+    joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
+    return [
+        surface_of(joined, part, [f"{role} of {name}" for name in names], user_normal)
+        for role, part, user_normal in zip(
+            ("slave", "master"),
+            np.split(nodes.facet_nodes, [sum(sizes[: len(names)])]),
+            (normal, None),
+            strict=True,
+        )
+    ]
+
+
+def _match_by_mortar(
+    names: Sequence[str],
+    contacts: Sequence[ContactPair],
+    slave: Surface,
+    tagged_master: Surface,
+    master: SurfaceFacets,
+    shared: Numbers,
+    prescribed: Mask,
+) -> ContactPairing:
+    """Return the mortar conditions of pairs, this rank's part. Collective.
+
+    The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
+    `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
+    """
+    normal = slave.normal
+    if contacts[0].normal is None:
+        normal = normals_in_symmetry_planes(slave, prescribed)
+    facets = replace(slave, normal=normal).oriented_part()
+    check_folds(slave.boundary.nodes, facets, names)
+    conditions = mortar_conditions(slave, facets, master, shared, prescribed)
+    check_covered(conditions, slave, names)
+    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
+    contact = slave.contact[rows]
+    if facets.weight is not None:
+        slave.check_weight(conditions.area, rows, names)
+    gap = np.sum(conditions.gap * conditions.normal, axis=1)
+    gap = slave.without_rounding(gap, contact)
+    gap = initial_gaps(
+        slave.comm, contacts, contact, gap, conditions.chord, slave.coordinates[rows], names
+    )
+    deviation = slave.without_rounding(conditions.deviation, contact)
+    summaries = pairing_summaries(
+        slave.comm,
+        names,
+        "mortar",
+        contact,
+        gap,
+        conditions.angle,
+        slave.contact,
+        area=conditions.area,
+        covered_area=conditions.covered_area,
+        deviation=deviation,
+    )
+    for pair, summary in zip(contacts, summaries, strict=True):
+        if pair.initial_gap != "geometric":
+            summary.update(deviation=None, blurred=None)
+        summary.update(slave=pair.slave, master=pair.master)
+    return ContactPairing(
+        conditions.terms,
+        conditions.normal,
+        gap,
+        conditions.area,
+        summaries,
+        slave,
+        conditions.covered,
+        conditions.coverage,
+        prescribed,
+        tagged_master,
+    )
+
+
+def check_covered(conditions: MortarConditions, slave: Surface, names: Sequence[str]) -> None:
+    """Check that the masters cover a part of each slave, and more than slivers. Collective."""
+    on_surface = np.searchsorted(slave.nodes, conditions.terms.slave)
+    counted = (slave.facet_contact[conditions.covered], slave.contact[on_surface])
+    numbers = [np.bincount(contact, minlength=len(names)) for contact in counted]
+    facets, rows = slave.comm.allreduce(np.array(numbers))
+    for contact in np.flatnonzero(facets == 0)[:1]:
+        raise InputError(
+            f"{names[contact]}: no facet of the slave has a facet of the master opposite it: along "
+            "the normals the surfaces never meet, or they face away from each other. Surfaces that "
+            "touch face each other: is one of the tags on the far side of its body, or on another "
+            "body?"
+        )
+    if bad := first_wrong(slave.comm, rows[slave.contact] == 0, slave.points, slave.contact):
+        raise InputError(
+            f"{names[bad.contact]}: the master covers slivers of {facets[bad.contact]} slave "
+            f"facets only, too little for any of the {bad.number} slave nodes, the first at "
+            f"{bad.place}. Tag surfaces that lie over each other, not ones that meet at an edge"
+        )
+
+
+def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, names: Sequence[str]) -> None:
+    """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
+    corners, points = slave.facets.pieces, slave.points
+    normal = Planes.of(slave.facets.coordinates()).normal
+    v, gdim = corners.shape[1], points.shape[1]
+    ends = np.stack([corners, corners if v == 2 else np.roll(corners, -1, axis=1)], axis=2)
+    middle = points[ends].mean(axis=2).reshape(-1, gdim)
+    edges = np.sort(slave.nodes[ends.reshape(-1, 2)], axis=1)
+    of_edges = np.repeat(slave.facets.contact_of(corners[:, 0]), v)
+    columns = all_nodes.to_owners(
+        edges[:, 0], edges[:, 1], middle, np.repeat(normal, v, axis=0), of_edges
+    )
+    order = np.lexsort((columns[1], columns[0]))
+    low, high, middle, normal, contact = (column[order] for column in columns)
+    same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
+    folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
+    if bad := first_wrong(all_nodes.comm, folded, middle[1:], contact[1:]):
+        raise InputError(
+            f"{names[bad.contact]}: the slave's surface is folded by more than 90 degrees at "
+            f"{bad.number} edges, the first at {bad.place}. Tag the two sides of a sharp edge as "
+            "surfaces of two contacts, or make the other surface the slave"
+        )
