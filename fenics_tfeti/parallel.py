@@ -16,7 +16,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.typing import Array, Numbers
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 T = TypeVar("T")
 
@@ -143,6 +143,30 @@ class Directory:
         Rows arrive in the order of ranks, those of a rank in the order given.
         """
         return send_rows(self._comm, self._home(keys), keys, *data)
+
+    def table(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
+        """Return tables for ``self.keys`` of rows (key, data...); one row of each key counts.
+
+        Rows of keys that no rank holds are left out.
+        """
+        keys, *columns = self.collect(keys, *data)
+        home = self.position(keys)
+        known = home >= 0
+        tables = []
+        for column in columns:
+            table = np.zeros((self.keys.size, *column.shape[1:]), dtype=column.dtype)
+            table[home[known]] = column[known]
+            tables.append(table)
+        return tuple(tables)
+
+    def sums(self, keys: Numbers, values: Vector) -> Vector:
+        """Return the sums of values (k,) or (k, n) of each of ``self.keys``, as `table`."""
+        keys, values = self.collect(keys, values)
+        home = self.position(keys)
+        known, size = home >= 0, self.keys.size
+        columns = np.atleast_2d(values.T)[:, known]
+        sums = [np.bincount(home[known], column, size).astype(np.float64) for column in columns]
+        return sums[0] if values.ndim == 1 else np.column_stack(sums)
 
     def position(self, keys: Numbers) -> Numbers:
         """Return the positions of keys in ``self.keys``; -1 for keys that no rank holds."""

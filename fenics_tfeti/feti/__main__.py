@@ -101,11 +101,10 @@ def save_solution(path: str | os.PathLike[str], system: TornSystem, solution: To
     contact row, in the order of ranks, ``normal_force`` [N] and ``active``; for each tied row
     ``tied_force`` [N]. If rank 0 cannot write it, all ranks raise and an old file is left as it is.
     """
-    comm, subdomains = system.comm, system.subdomains
-    numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    comm = system.comm
     values = np.concatenate([np.zeros(0), *solution.displacements]).reshape(-1, system.gdim)
     rows = solution.normal_force, solution.active, solution.tied_force
-    ranks = comm.gather((numbers, values, *rows))
+    ranks = comm.gather((system.nodes, values, *rows))
     with raise_collectively(comm):
         if ranks is not None:
             numbers, values, *whole = (

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 Kernel = Literal["rigid", "translations"]
 
@@ -494,6 +494,28 @@ class TornSystem:
     condition_names: Sequence[str] = ()
     tied: ContactRows = field(default_factory=lambda: ContactRows.none(0))
     friction: Friction = field(default_factory=lambda: Friction.none(1))
+
+    @property
+    def nodes(self) -> Numbers:
+        """The global node number of each copy of a node, subdomain by subdomain."""
+        none = np.zeros(0, dtype=np.int64)
+        return np.concatenate([none, *(s.nodes for s in self.subdomains)])
+
+    @property
+    def coordinates(self) -> Vector:
+        """The coordinates of the copies, (copies, gdim) [m]."""
+        none = np.zeros((0, self.gdim))
+        return np.concatenate([none, *(s.coordinates for s in self.subdomains)])
+
+    @property
+    def bodies(self) -> Numbers:
+        """The body of each subdomain."""
+        return np.array([s.body for s in self.subdomains], dtype=np.int64)
+
+    def at_copies(self, of_subdomains: Array) -> Array:
+        """Return a value (subdomains,) of each subdomain at its copies of nodes, (copies,)."""
+        sizes = np.array([s.nodes.size for s in self.subdomains], dtype=np.int64)
+        return np.repeat(of_subdomains, sizes)
 
     def body_name(self, body: int) -> str:
         """Return the name of a body."""

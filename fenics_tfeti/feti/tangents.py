@@ -227,16 +227,7 @@ def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
 
 def _bodies_and_places(system: TornSystem, nodes: Numbers) -> tuple[Numbers, Vector]:
     """Return the bodies (k,) and the places (k, gdim) of any nodes (k,). Collective."""
-    subdomains = system.subdomains
-    copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
-    x = np.concatenate([np.zeros((0, system.gdim)), *(s.coordinates for s in subdomains)])
-    bodies = np.array([s.body for s in subdomains], dtype=np.int64)
-    body = np.repeat(bodies, np.array([s.nodes.size for s in subdomains], dtype=np.int64))
-    directory = Directory(system.comm, np.unique(copies))
-    keys, body, x = directory.collect(copies, body, x)
-    body_at_home = np.zeros(directory.keys.size, dtype=np.int64)
-    x_at_home = np.zeros((directory.keys.size, system.gdim))
-    home = directory.position(keys)
-    body_at_home[home], x_at_home[home] = body, x
-    _, body, x = directory.lookup(nodes, body_at_home, x_at_home)
+    directory = Directory(system.comm, np.unique(system.nodes))
+    tables = directory.table(system.nodes, system.at_copies(system.bodies), system.coordinates)
+    _, body, x = directory.lookup(nodes, *tables)
     return body, x

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -48,8 +47,7 @@ def check_bodies(system: TornSystem) -> None:
     shared = _shared_nodes(system, first)
     # three points carry all that a pair's shared nodes prevent
     shared = shared.chosen(np.unique(_spanning_points(shared)[0]))
-    bodies = np.array([s.body for s in system.subdomains], dtype=np.int64)
-    gathered = comm.gather((shared, bodies))
+    gathered = comm.gather((shared, system.bodies))
     with raise_collectively(comm):
         if gathered is not None:
             parts, lists = zip(*gathered, strict=True)
@@ -62,19 +60,15 @@ def check_bodies(system: TornSystem) -> None:
 def _shared_nodes(system: TornSystem, first: int) -> _SharedNodes:
     """Return the shared nodes at home on this rank, once for each pair of subdomains."""
     subdomains = system.subdomains
-    nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+    nodes = system.nodes
     directory, shared = _find_shared(system.comm, nodes)
-    ends = np.cumsum([0, *(s.nodes.size for s in subdomains)])
-    masks = [shared[begin:end] for begin, end in pairwise(ends)]
-    local = np.repeat(np.arange(len(masks)), np.array([m.sum() for m in masks], dtype=np.int64))
-    bodies = np.array([s.body for s in subdomains], dtype=np.int64)
+    local = system.at_copies(np.arange(len(subdomains)))[shared]
     widths = np.array([np.ptp(s.coordinates, axis=0).max() for s in subdomains], dtype=np.float64)
-    x = [s.coordinates[mask] for s, mask in zip(subdomains, masks, strict=True)]
     arrived = directory.collect(
         nodes[shared],
         first + local,
-        bodies[local],
-        np.concatenate([np.zeros((0, system.gdim)), *x]),
+        system.bodies[local],
+        system.coordinates[shared],
         widths[local],
     )
     # copies arrive by ascending subdomain, and a stable sort keeps that order within a node
@@ -92,8 +86,7 @@ def _find_shared(comm: MPI.Intracomm, nodes: Numbers) -> tuple[Directory, Mask]:
     """Return a directory of the nodes, and which of them have copies; most have none."""
     distinct, position, count = count_copies(nodes)
     directory = Directory(comm, distinct)
-    keys, counts = directory.collect(distinct, count)
-    copies = np.bincount(directory.position(keys), weights=counts, minlength=directory.keys.size)
+    copies = directory.sums(distinct, count.astype(float))
     return directory, directory.lookup(distinct, copies)[1][position] > 1
 
 

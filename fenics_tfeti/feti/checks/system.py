@@ -127,7 +127,7 @@ def _check_matrices(system: TornSystem) -> None:
 
 def _check_numbering(system: TornSystem) -> None:
     """Check the numbers that have to fit over all ranks. Collective."""
-    rank_bodies = np.unique(np.array([s.body for s in system.subdomains], dtype=np.int64))
+    rank_bodies = np.unique(system.bodies)
     contact = np.append(system.contacts.contact, system.tied.contact)
     gdims, lists, largest, rows = zip(
         *system.comm.allgather(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal
 
 from mpi4py import MPI
 
@@ -35,36 +35,6 @@ _MESSAGES_OF_FACTORISATION = 4
 _LATENCY = 50_000
 # weight of messages: less is not worth another package
 _WEIGHT = 2.0
-
-
-class CoarseFactor(Protocol):
-    """A factored coarse matrix."""
-
-    @property
-    def entries(self) -> int:
-        """Number of the factor's entries, over all ranks that share it."""
-        ...
-
-    def solve(self, coarse: Vector) -> Vector:
-        """Solve for a right-hand side that every rank has; every rank gets the whole solution."""
-        ...
-
-    def solve_columns(self, coarse: Vector) -> Vector:
-        """Solve for the columns of a matrix that every rank has."""
-        ...
-
-    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
-        """Solve, given this rank's part; return that of `own` and of `others` in the solution."""
-        ...
-
-    def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
-        """Solve for the sum of the ranks' parts; return this rank's part of the solution.
-
-        This rank adds own (own,) to its unknowns and others (h,) to those of `CoarseLayout.others`.
-        The numbers (k,) are summed over the ranks in the same reduction; their sums are returned as
-        well.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -202,75 +172,57 @@ class CoarseLayout:
         The motions (own, k) of whole bodies, and the number of modes of a subdomain, 1 if it is not
         the same for all, are for multigrid methods.
         """
-        if not self.size:
-            return _Redundant(self, _NoUnknowns())
-        if self.solver == "distributed":
-            return _ByRows(self, AgglomeratedCholesky(self.comm, rows, self.groups))
+        solver: AgglomeratedCholesky | MultigridSolver
+        if self.solver == "redundant" or not self.size:
+            whole = SparseCholesky(rows.tocsr(), self.package, quick=True) if self.size else None
+            return CoarseFactor(self, whole)
         if self.solver == "iterative":
-            return _ByRows(self, MultigridSolver(self.comm, rows, motions, modes, self.groups))
-        return _Redundant(self, SparseCholesky(rows.tocsr(), self.package, quick=True))
-
-
-class _NoUnknowns:
-    """The factor of a matrix of order 0: no subdomain can move."""
-
-    entries = 0
-
-    def solve(self, b: Vector) -> Vector:
-        return b
+            solver = MultigridSolver(self.comm, rows, motions, modes, self.groups)
+        else:
+            solver = AgglomeratedCholesky(self.comm, rows, self.groups)
+        return _FactorByRows(self, solver)
 
 
 @dataclass(frozen=True)
-class _Redundant:
-    """Every rank has the whole factor: one reduction of a coarse vector for each solve."""
+class CoarseFactor:
+    """A factored coarse matrix, whole on every rank: one reduction of a vector for each solve."""
 
     layout: CoarseLayout
-    whole: SparseCholesky | _NoUnknowns
+    solver: Any  # None of a matrix of order 0: no subdomain can move
 
     @property
     def entries(self) -> int:
-        return self.whole.entries
+        """Number of the factor's entries, over all ranks that share it."""
+        return self.solver.entries if self.solver else 0
 
     def solve(self, coarse: Vector) -> Vector:
-        return self.whole.solve(coarse)
-
-    def solve_columns(self, coarse: Vector) -> Vector:
-        return self.whole.solve(coarse)
+        """Solve for a vector, or the columns of a matrix, that every rank has; so it has all."""
+        solution: Vector = self.solver.solve(coarse) if self.solver else coarse
+        return solution
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
-        solution = self.whole.solve(self.layout.gather(own))
+        """Solve, given this rank's part; return that of `own` and of `others` in the solution."""
+        solution = self.solve(self.layout.gather(own))
         return solution[self.layout.own], solution[self.layout.others]
 
     def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
+        """Solve for the sum of the ranks' parts; return this rank's part of the solution.
+
+        This rank adds own (own,) to its unknowns and others (h,) to those of `CoarseLayout.others`.
+        The numbers (k,) are summed over the ranks in the same reduction; their sums are returned as
+        well.
+        """
         coarse, sums = self.layout.sum_whole(own, others, numbers)
-        return self.whole.solve(coarse)[self.layout.own], sums
+        return self.solve(coarse)[self.layout.own], sums
 
 
-class _SolverByRows(Protocol):
-    """A solver of which a rank gives and gets its own part; collective."""
-
-    entries: int
-
-    def solve(self, own: Vector) -> Vector: ...
-
-
-@dataclass(frozen=True)
-class _ByRows:
+class _FactorByRows(CoarseFactor):
     """A rank has its own rows alone: a solve has one exchange of coarse unknowns, and its own."""
 
-    layout: CoarseLayout
-    solver: _SolverByRows
-
-    @property
-    def entries(self) -> int:
-        return self.solver.entries
-
     def solve(self, coarse: Vector) -> Vector:
-        return self.layout.gather(self.solver.solve(coarse[self.layout.own]))
-
-    def solve_columns(self, coarse: Vector) -> Vector:
-        own = [self.solver.solve(column) for column in coarse[self.layout.own].T]
-        return self.layout.gather(np.array(own).T)
+        own = coarse[self.layout.own]
+        solved = np.array([self.solver.solve(column) for column in np.atleast_2d(own.T)])
+        return self.layout.gather(solved.T.reshape(own.shape))
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         solution = self.solver.solve(own)

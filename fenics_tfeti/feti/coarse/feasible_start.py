@@ -63,7 +63,7 @@ def feasible_start(
     # soft supports would be stretched far by what contact can carry
     free, weak = _softly_supported(coarse_space)
     if free.shape[1] + weak.shape[1]:
-        prescribed = coarse_space.prolong(supports.without_free_motions(supports.coefficients(c)))
+        prescribed = coarse_space.prolong(supports.coefficients(c))
         gaps = unit * (c - prescribed)[constraints.inequality]
         if close_gaps:
             gaps *= SURFACE
@@ -80,8 +80,7 @@ def feasible_start(
             for group in split_by_groups(system, coarse_space, both, e):
                 start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
-    left = supports.without_free_motions(e - coarse_space.restrict(start))
-    return start + supports.least_norm(left)
+    return start + supports.least_norm(e - coarse_space.restrict(start))
 
 
 def _softly_supported(coarse_space: CoarseSpace) -> tuple[sp.csr_matrix, sp.csr_matrix]:

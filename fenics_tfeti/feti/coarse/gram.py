@@ -21,7 +21,7 @@ from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.tolerances import WEAK, rounding
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,50 @@ class GramInverse:
     rows: Vector  # W (m, k) on all rows held; orthonormal on the rows of the face
 
     @staticmethod
-    def of(coarse_space: CoarseSpace, factor: CoarseFactor) -> GramInverse:
-        """Return A^{-1} alone, given the factor of A."""
-        layout = coarse_space.constraints.layout
-        none = np.zeros((coarse_space.size, 0)), np.zeros((layout.numbers.size, 0))
-        return GramInverse(layout, factor, *none)
+    def build(
+        coarse_space: CoarseSpace,
+        columns: sp.csr_matrix,
+        free: tuple[sp.csr_matrix, sp.csr_matrix],
+        weak: Vector,
+        on_rows: Callable[[Vector], Vector],
+    ) -> GramInverse:
+        """Factor A and correct its inverse. Collective.
+
+        The columns (coarse, r) of G are those of the face but for the equality rows. Free are
+        motions (coarse, k) of one body and (coarse, l) of several, weak are z (modes * bodies, n)
+        of `BodyMotions`; on_rows maps x (m,) to its part on the rows of the face.
+        """
+        layout = coarse_space.layout
+        gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
+        pins = _pins(coarse_space, gram, free, coarse_space.coarse_motions(sp.csr_matrix(weak)))
+        motions = coarse_space.motions_for_multigrid()
+        factor = layout.factor(layout.add_to_diagonal(gram, pins), *motions)
+        dual_layout = coarse_space.constraints.layout
+        none = np.zeros((layout.size, 0)), np.zeros((dual_layout.numbers.size, 0))
+        inverse = GramInverse(dual_layout, factor, *none)
+        return inverse._corrected(coarse_space, weak, on_rows) if weak.shape[1] else inverse
+
+    def _corrected(
+        self, coarse_space: CoarseSpace, weak: Vector, on_rows: Callable[[Vector], Vector]
+    ) -> GramInverse:
+        """Return A^{-1} with its correction for weakly resisted motions, which A pins."""
+        restrict, owned = coarse_space.restrict, self.layout.owned
+        # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
+        moved = coarse_space.moved_rows(weak)
+        follow = np.column_stack([self.factor.solve(restrict(on_rows(x))) for x in moved.T])
+        W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
+        on_face = np.column_stack([on_rows(column) for column in W.T])[:owned]
+        # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
+        squares, V = np.linalg.eigh(self.layout.space.sum_over_ranks(on_face.T @ on_face))
+        moving = squares > rounding(squares.max(initial=0.0))
+        normalize = V[:, moving] / np.sqrt(squares[moving])
+        Z = (coarse_space.coarse_motions(weak) - follow) @ normalize
+        return replace(self, motions=Z, rows=W @ normalize)
 
     @property
     def is_corrected(self) -> bool:
         """True if there are motions that the rows resist weakly."""
         return bool(self.motions.shape[1])
-
-    def solve(self, coarse: Vector) -> Vector:
-        """Return (GG')^+ applied to a coarse vector in the range of G."""
-        solution: Vector = self.factor.solve(coarse) + self.motions @ (self.motions.T @ coarse)
-        return solution
 
     def weak_part(self, x: Vector) -> Vector:
         """Return W'x for a vector on the rows; one reduction, if there are such motions."""
@@ -56,49 +85,7 @@ class GramInverse:
         return self.layout.space.sum_over_ranks(part) if self.is_corrected else part
 
 
-def corrected(
-    inverse: GramInverse,
-    coarse_space: CoarseSpace,
-    weak: Vector,
-    on_rows: Callable[[Vector], Vector],
-) -> GramInverse:
-    """Return A^{-1} with its correction for weakly resisted motions, which A pins. Collective.
-
-    The inverse is A^{-1} alone, `weak` holds the motions z (modes * bodies, k) of `BodyMotions`,
-    and on_rows maps x (m,) to its part on the rows of the face.
-    """
-    if not weak.shape[1]:
-        return inverse
-    layout, restrict = coarse_space.constraints.layout, coarse_space.restrict
-    # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
-    moved = coarse_space.moved_rows(weak)
-    follow = np.column_stack([inverse.factor.solve(restrict(on_rows(x))) for x in moved.T])
-    W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
-    owned = np.column_stack([on_rows(column) for column in W.T])[: layout.owned]
-    # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
-    squares, V = np.linalg.eigh(layout.space.sum_over_ranks(owned.T @ owned))
-    moving = squares > rounding(squares.max(initial=0.0))
-    normalize = V[:, moving] / np.sqrt(squares[moving])
-    Z = (coarse_space.coarse_motions(weak) - follow) @ normalize
-    return replace(inverse, motions=Z, rows=W @ normalize)
-
-
-def coarse_matrix(
-    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None
-) -> sp.csr_matrix:
-    """Return the rows of GG' that this rank keeps.
-
-    The rows (m,) of B include those of the equality constraints; combined (k, m) are combinations
-    of tangential rows that count as well.
-    """
-    columns, layout = _columns(coarse_space, rows, combined), coarse_space.layout
-    gram: sp.csr_matrix = coarse_space.equality + layout.rows(
-        (columns[layout.own] @ columns.T).tocsr()
-    )
-    return gram
-
-
-def pins(
+def _pins(
     coarse_space: CoarseSpace,
     gram: sp.csr_matrix,
     free: tuple[sp.csr_matrix, sp.csr_matrix],
@@ -106,10 +93,8 @@ def pins(
 ) -> Vector:
     """Return what is added to the diagonal of GG' for motions that are resisted too little.
 
-    Weak motions (coarse, n) are pinned so firmly that what resists them, the square of `WEAK` at
-    most, is rounding beside the pin. That is relative to rows that resist fully: perhaps no row of
-    GG' does. The free motions, (coarse, k) of one body and (coarse, l) of several, have no
-    resistance.
+    Weak motions are pinned so firmly that what resists them, the square of `WEAK` at most, is
+    rounding beside the pin. That is relative to rows that resist fully: perhaps no row of GG' does.
     """
     single, several = free
     added = np.zeros(coarse_space.layout.size)
@@ -121,22 +106,3 @@ def pins(
             pin = max(largest, row) / WEAK**2
         added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
     return added
-
-
-def factored(coarse_space: CoarseSpace, gram: sp.csr_matrix, added: Vector) -> CoarseFactor:
-    """Factor GG' of a face, (coarse or own, coarse), with pins (coarse,) added. Collective."""
-    layout = coarse_space.layout
-    return layout.factor(layout.add_to_diagonal(gram, added), *coarse_space.motions_for_multigrid())
-
-
-def _columns(
-    coarse_space: CoarseSpace, rows: Mask, combined: sp.csr_matrix | None
-) -> sp.csr_matrix:
-    """Return the columns of G of rows held: contact, tangential, combinations of the latter."""
-    constraints = coarse_space.constraints
-    columns = [coarse_space.contact[:, np.flatnonzero(rows[constraints.inequality])]]
-    if constraints.friction.size:
-        columns.append(coarse_space.friction[:, np.flatnonzero(rows & ~constraints.equality)])
-    if combined is not None:
-        columns.append(coarse_space.friction @ combined.T)
-    return sp.hstack(columns, format="csr")

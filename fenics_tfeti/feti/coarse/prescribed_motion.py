@@ -39,6 +39,6 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     if size == 0.0:
         return none
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
-    a: Vector = supports.without_free_motions(supports.coefficients(prescribed))
+    a = supports.coefficients(prescribed)
     moved = float(np.abs(coarse_space.rigid_motion(a)).max(initial=0.0))
     return a if comm.allreduce(moved, MPI.MAX) <= _LARGEST * size else none

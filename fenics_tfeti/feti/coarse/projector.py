@@ -7,21 +7,18 @@ Where a site of friction slips, the combination of its rows across its force may
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.column_groups import of_one_body, orthonormal_columns
-from fenics_tfeti.feti.coarse.gram import (
-    GramInverse,
-    coarse_matrix,
-    corrected,
-    factored,
-    pins,
-)
+from fenics_tfeti.feti.coarse.gram import GramInverse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
+from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
 from fenics_tfeti.typing import Mask, Vector
 
@@ -82,17 +79,14 @@ class Projector:
         alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
         free = orthonormal_columns(motions[:, alone], motions[:, ~alone])
         single = np.arange(free.shape[1]) < np.count_nonzero(alone)
-        matrix = coarse_matrix(coarse_space, rows, combined)
-        added = pins(
+        gram = GramInverse.build(
             coarse_space,
-            matrix,
+            coarse_space.columns(rows, combined),
             (free[:, single], free[:, ~single]),
-            coarse_space.coarse_motions(weak),
+            weak.toarray(),
+            partial(_on_rows, constraints.friction, rows, across),
         )
-        factor = factored(coarse_space, matrix, added)
-        bare = Projector(coarse_space, rows, across, free, z, GramInverse.of(coarse_space, factor))
-        gram = corrected(bare.gram, coarse_space, weak.toarray(), bare.on_rows)
-        projector = replace(bare, gram=gram)
+        projector = Projector(coarse_space, rows, across, free, z, gram)
         return replace(projector, passes=projector._passes())
 
     def _passes(self) -> int:
@@ -138,46 +132,48 @@ class Projector:
         return part
 
     def coefficients(self, x: Vector) -> Vector:
-        """Return (GG')^+ G x."""
-        solution = self._coefficients(x)
-        for _ in range(1, self.passes):
-            solution = solution + self._coefficients(x - self.coarse_space.prolong(solution))
-        return solution
+        """Return (GG')^+ G x, without a part in the free motions."""
+        return self._repeated(self._coefficients, x, self.coarse_space.prolong)
 
     def _coefficients(self, x: Vector) -> Vector:
         x = self.on_rows(x)
         weak: Vector = self.gram.motions @ self.gram.weak_part(x)
-        return self.gram.factor.solve(self.coarse_space.restrict(x)) + weak
+        solution = self.gram.factor.solve(self.coarse_space.restrict(x)) + weak
+        return self.without_free_motions(solution)
 
     def least_norm(self, coarse: Vector) -> Vector:
-        """Return G'(GG')^+ applied to a coarse vector: the smallest x on the rows with Gx = it."""
-        x = self._least_norm(coarse)
-        for _ in range(1, self.passes):
-            missing = self.without_free_motions(coarse - self.coarse_space.restrict(x))
-            x = x + self._least_norm(missing)
-        return x
+        """Return G'(GG')^+ applied to a coarse vector: the smallest x on the rows with Gx = it.
+
+        Its part in the free motions is left out.
+        """
+        return self._repeated(self._least_norm, coarse, self.coarse_space.restrict)
 
     def _least_norm(self, coarse: Vector) -> Vector:
+        coarse = self.without_free_motions(coarse)
         weak = self.gram.rows @ (self.gram.motions.T @ coarse)
         return self.on_rows(self.coarse_space.prolong(self.gram.factor.solve(coarse)) + weak)
+
+    def _repeated(
+        self,
+        solve: Callable[[Vector], Vector],
+        right: Vector,
+        product: Callable[[Vector], Vector],
+    ) -> Vector:
+        """Return the solution for a right-hand side, with all passes."""
+        x = solve(right)
+        for _ in range(1, self.passes):
+            x = x + solve(right - product(x))
+        return x
 
     # -- multipliers ------------------------------------------------------------------------------
 
     def on_rows(self, x: Vector) -> Vector:
         """Return x with zeros outside the rows, but for the combinations across."""
-        chosen = np.where(self.rows, x, 0.0)
-        if self.across is not None:
-            friction = self.coarse_space.constraints.friction
-            size = np.sum(friction.at_sites(x) * self.across, axis=1, keepdims=True)
-            chosen[friction.flat] += (size * self.across)[friction.present]
-        return chosen
+        return _on_rows(self.coarse_space.constraints.friction, self.rows, self.across, x)
 
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""
-        Qx = self._Q(x)
-        for _ in range(1, self.passes):
-            Qx = Qx + self._Q(x - Qx)
-        return Qx
+        return self._repeated(self._Q, x, lambda Qx: Qx)
 
     def _Q(self, x: Vector) -> Vector:
         x = self.on_rows(x)
@@ -263,3 +259,12 @@ class Projector:
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)
+
+
+def _on_rows(friction: FrictionRows, rows: Mask, across: Vector | None, x: Vector) -> Vector:
+    """Return x on some rows, and its part along the combinations across."""
+    chosen = np.where(rows, x, 0.0)
+    if across is not None:
+        size = np.sum(friction.at_sites(x) * across, axis=1, keepdims=True)
+        chosen[friction.flat] += (size * across)[friction.present]
+    return chosen

@@ -134,6 +134,19 @@ class CoarseSpace:
         part: Vector = self.own @ own
         return part
 
+    def columns(self, rows: Mask, combined: sp.csr_matrix | None) -> sp.csr_matrix:
+        """Return the columns of G of some rows (m,), but equality rows, on all ranks' unknowns.
+
+        Combinations (k, m) of tangential rows follow.
+        """
+        constraints = self.constraints
+        columns = [self.contact[:, np.flatnonzero(rows[constraints.inequality])]]
+        if constraints.friction.size:
+            columns.append(self.friction[:, np.flatnonzero(rows & ~constraints.equality)])
+        if combined is not None:
+            columns.append(self.friction @ combined.T)
+        return sp.hstack(columns, format="csr")
+
     def motions_of_rows(self, rows: Mask) -> sp.csr_matrix:
         """Return G' on some rows: the columns of this rank's coarse unknowns, then of `others`."""
         chosen = sp.diags(rows.astype(float))

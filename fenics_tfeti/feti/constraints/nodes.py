@@ -33,12 +33,9 @@ class Copies:
     @staticmethod
     def build(system: TornSystem, weights: Vector | None) -> Copies:
         """Collect the copies; weights are 1 by default."""
-        numbers = np.concatenate(
-            [np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)]
-        )
-        nodes, node, count = count_copies(numbers)
-        unknown = system.gdim * np.arange(numbers.size, dtype=np.int64)
-        weight = np.ones(numbers.size) if weights is None else weights
+        nodes, node, count = count_copies(system.nodes)
+        unknown = system.gdim * np.arange(node.size, dtype=np.int64)
+        weight = np.ones(node.size) if weights is None else weights
         return Copies(node, unknown, weight, nodes, count)
 
     def of_nodes(self, chosen: Mask) -> Copies:
@@ -71,11 +68,9 @@ class NodeTable:
         a node of no subdomain.
         """
         homes = directory.keys.size
-        sums = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
-        keys, counts, sums = directory.collect(copies.nodes, copies.count, sums)
-        home = directory.position(keys)
-        multiplicity = np.bincount(home, weights=counts, minlength=homes).astype(np.int64)
-        weight = np.bincount(home, weights=sums, minlength=homes).astype(np.float64)
+        weights = np.bincount(copies.node, weights=copies.weight, minlength=copies.nodes.size)
+        sums = directory.sums(copies.nodes, np.column_stack([copies.count, weights]))
+        multiplicity, weight = sums[:, 0].astype(np.int64), sums[:, 1].copy()
 
         conditions = system.prescribed
         arrived = directory.collect(conditions.nodes, conditions.components, conditions.values)

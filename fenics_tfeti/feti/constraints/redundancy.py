@@ -65,7 +65,7 @@ def find_redundant(
     first = first_of_rank(comm, conditions.rhs.size)[0]
     number = first + np.arange(conditions.rhs.size, dtype=np.int64)
     row = first + conditions.row
-    several = _in_several_rows(directory, conditions.node, row)
+    several = _in_several_rows(directory, conditions.node)
     chosen = np.isin(number, row[several])
     rows = _Rows(
         *(
@@ -99,11 +99,9 @@ class _Rows:
     tangential: Mask
 
 
-def _in_several_rows(directory: Directory, node: Numbers, row: Numbers) -> Mask:
+def _in_several_rows(directory: Directory, node: Numbers) -> Mask:
     """Return which terms are at nodes that several rows, of any rank, act on."""
-    count = np.zeros(directory.keys.size, dtype=np.int64)
-    keys = directory.collect(node, row)[0]
-    np.add.at(count, directory.position(keys), 1)
+    count = directory.sums(node, np.ones(node.size))
     several: Mask = directory.lookup(node, count)[1] > 1
     return several
 

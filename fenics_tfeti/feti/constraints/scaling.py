@@ -49,10 +49,7 @@ def node_weights(system: TornSystem, scaling: Scaling) -> NodeWeights:
     """
     ratios = compressibility(system.subdomains)
     stiffness = _diagonals(system, ratios)
-    rigid = np.repeat(
-        np.array([s.is_rigid for s in system.subdomains], dtype=bool),
-        np.array([s.nodes.size for s in system.subdomains], dtype=np.int64),
-    )
+    rigid = system.at_copies(np.array([s.is_rigid for s in system.subdomains], dtype=bool))
     of_subdomain = [ratios[id(s.stiffness)] for s in system.subdomains]
     if scaling == "multiplicity":
         total, count = system.comm.allreduce(np.array([stiffness.sum(), (~rigid).sum()]))

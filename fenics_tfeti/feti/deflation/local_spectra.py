@@ -169,24 +169,13 @@ class _Subspace:
     images: Vector  # (r, j): P_s F_s P_s times the basis
     block: Vector  # (r, b): next columns of the basis; b = 0 when it is large enough
 
-    def new_directions(self, x: Vector) -> Vector:
-        """Return an orthonormal basis of what x adds to the subspace."""
-        size = np.linalg.norm(x, axis=0).max(initial=0.0)
-        known = np.hstack([self.motions, self.basis])
-        # once more for what rounding leaves
-        for _ in range(2):
-            x = x - known @ (known.T @ x)
-        Q, R = np.linalg.qr(x)
-        new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
-        return new
-
     def take(self, jumps: Vector) -> None:
         """Add the block to the basis, given F_s times it; find the next one."""
         jumps = jumps[:, : self.block.shape[1]]
         image = jumps - self.motions @ (self.motions.T @ jumps)
         self.basis = np.hstack([self.basis, self.block])
         self.images = np.hstack([self.images, image])
-        self.block = self.new_directions(image)
+        self.block = new_directions(np.hstack([self.motions, self.basis]), image)
 
     @property
     def has_all_negative(self) -> bool:
@@ -202,6 +191,17 @@ class _Subspace:
             below = -ZERO * np.abs(values).max(initial=0.0)
             at = np.append(at, np.flatnonzero(values < below))
         return values[at], self.basis @ vectors[:, at]
+
+
+def new_directions(basis: Vector, x: Vector) -> Vector:
+    """Return an orthonormal basis of what columns x add to an orthonormal basis."""
+    size = np.linalg.norm(x, axis=0).max(initial=0.0)
+    # once more for what rounding leaves
+    for _ in range(2):
+        x = x - basis @ (basis.T @ x)
+    Q, R = np.linalg.qr(x)
+    new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
+    return new
 
 
 def _first_subspaces(
@@ -226,9 +226,10 @@ def _first_subspaces(
         U, sizes, _ = np.linalg.svd(G[rows], full_matrices=False)
         motions = U[:, sizes > ZERO * sizes.max(initial=0.0)]
         none = np.zeros((rows.stop - rows.start, 0))
-        space = _Subspace(rows, float(limits[s]), int(negative[s]), motions, none, none, none)
-        space.block = space.new_directions(first[rows])
-        spaces.append(space)
+        block = new_directions(motions, first[rows])
+        spaces.append(
+            _Subspace(rows, float(limits[s]), int(negative[s]), motions, none, none, block)
+        )
     return spaces
 
 

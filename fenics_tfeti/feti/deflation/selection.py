@@ -113,10 +113,9 @@ def _ratios(weights: Vector, interface: Interface) -> Vector:
 
 def _over_copies(system: TornSystem, weights: Vector) -> Vector:
     """Return for each copy of a node the sum over the copies of all ranks. Collective."""
-    copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
-    nodes, position = np.unique(copies, return_inverse=True)
+    nodes, position = np.unique(system.nodes, return_inverse=True)
     directory = Directory(system.comm, nodes)
-    keys, parts = directory.collect(nodes, np.bincount(position, weights, nodes.size))
-    home = np.bincount(directory.position(keys), parts, directory.keys.size)
-    whole: Vector = directory.lookup(nodes, home)[1][position]
+    part: Vector = np.bincount(position, weights, nodes.size).astype(np.float64)
+    sums = directory.sums(nodes, part)
+    whole: Vector = directory.lookup(nodes, sums)[1][position]
     return whole

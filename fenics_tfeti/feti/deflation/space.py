@@ -275,7 +275,7 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     for first in range(0, C.shape[1], COLUMNS):
         some = slice(first, first + COLUMNS)
         coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
-        X[:, some] = gram.factor.solve_columns(coarse)[places]
+        X[:, some] = gram.factor.solve(coarse)[places]
         V[:, some] = gram.motions.T @ coarse
         U = C[:owned, some].toarray() - G[:owned] @ X[:, some] - W[:owned] @ V[:, some]
         squares[some] = np.sum(U**2, axis=0)

@@ -24,8 +24,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
-from fenics_tfeti.feti.tolerances import ZERO
+from fenics_tfeti.feti.deflation.local_spectra import LocalVectors, new_directions
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
 # the largest theta in the preconditioner: 30 to 100 take about as many products
@@ -65,7 +64,7 @@ class StiffModes:
         basis, images = np.zeros((root.size, 0)), np.zeros((root.size, 0))
         values, vectors = np.zeros(0), np.zeros((0, 0))
         for step in range(1, _STEPS + 1):
-            block = _new_directions(basis, block)
+            block = new_directions(basis, block)
             if block.shape[1]:
                 image = reaction((block / root[:, None]).T).T / root[:, None]
                 basis, images = np.hstack([basis, block]), np.hstack([images, image])
@@ -98,17 +97,6 @@ class StiffModes:
         """The part D^{-1/2} v (b,) of a dilatation in the modes, zero if there are none."""
         vector: Vector = self.vectors @ self.dilatation / self.root
         return vector
-
-
-def _new_directions(basis: Vector, x: Vector) -> Vector:
-    """Return an orthonormal basis of what columns x add to an orthonormal basis."""
-    size = np.linalg.norm(x, axis=0).max(initial=0.0)
-    # once more for what rounding leaves
-    for _ in range(2):
-        x = x - basis @ (basis.T @ x)
-    Q, R = np.linalg.qr(x)
-    new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
-    return new
 
 
 def deflated_vectors(

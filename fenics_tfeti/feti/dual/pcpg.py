@@ -409,7 +409,7 @@ def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> V
     projector = face.projector
     l = projector.on_rows(multipliers) + face.contact_state.forces
     missing = problem.e - problem.coarse_space.restrict(l)
-    nearest: Vector = l + projector.least_norm(projector.without_free_motions(missing))
+    nearest: Vector = l + projector.least_norm(missing)
     return nearest
 
 

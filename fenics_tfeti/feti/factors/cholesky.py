@@ -165,6 +165,11 @@ class SparseFactor:
         """Number of the factor's entries."""
         return self._factor.entries
 
+    @property
+    def negative(self) -> int:
+        """Number of negative eigenvalues; unknown to CHOLMOD, which factors definite matrices."""
+        return self._factor.negative
+
     def _check_by_a_solve(self, matrix: Operator, size: int, useless: float = _USELESS) -> float:
         """Find inaccurate factors of a matrix, and return the energy b'x of the probe."""
         b = matrix(np.random.default_rng(0).standard_normal(size))
@@ -250,11 +255,6 @@ class DowndatedCholesky(SparseFactor):
                 f"the downdated Cholesky factorisation by {package} failed ({error})"
             ) from error
 
-    @property
-    def negative(self) -> int:
-        """Number of negative eigenvalues."""
-        return self._factor.negative
-
 
 class SparseLDL(SparseFactor):
     """The LDL' factor of a sparse symmetric matrix that may be indefinite, with its inertia.
@@ -284,11 +284,6 @@ class SparseLDL(SparseFactor):
                 f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
                 f"{matrix.shape[0]} is singular"
             ) from error
-
-    @property
-    def negative(self) -> int:
-        """Number of negative eigenvalues."""
-        return self._factor.negative
 
 
 def _factor(

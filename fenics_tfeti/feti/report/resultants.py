@@ -163,14 +163,11 @@ def resultants(
     gdim, comm = system.gdim, system.comm
     forces = _contact_forces(system, F.constraints, multipliers)
     rows = forces.rows
-    x = np.concatenate([np.zeros((0, gdim)), *(s.coordinates for s in system.subdomains)])
+    x = system.coordinates
     loads = unknowns.without_ground(load).reshape(-1, gdim)
     constraint_forces = F.constraint_forces(multipliers)
     supports = -unknowns.without_ground(constraint_forces).reshape(-1, gdim)
-    internal = np.repeat(
-        np.array([s.is_unknown for s in system.subdomains], dtype=bool),
-        np.array([s.nodes.size for s in system.subdomains], dtype=np.int64),
-    )
+    internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
     loads, supports = (np.where(internal[:, None], 0.0, part) for part in (loads, supports))
 
     sprung = _with_springs(system, kernels, unknowns)
@@ -267,10 +264,8 @@ def _contact_forces(
         tangential_forces(constraints, multipliers).ravel(),
     ]
     factor = -(np.concatenate(forces) / rows.length)[rows.row]
-    internal = [s.nodes for s in system.subdomains if s.is_unknown]
-    unknowns = concatenate_ranks(
-        system.comm, np.concatenate([np.zeros(0, dtype=np.int64), *internal])
-    )
+    internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
+    unknowns = concatenate_ranks(system.comm, system.nodes[internal])
     factor[np.isin(rows.nodes, unknowns)] = 0.0
     return _RowForces(rows, factor[:, None] * rows.coefficients)
 
@@ -283,12 +278,9 @@ def _points(
     touched = np.zeros(int(unknowns.ends[-1]), dtype=bool)
     touched[F.interface.columns] = True
     local = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
-    copies = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
     directory = Directory(system.comm, np.unique(nodes))
-    table = np.zeros((directory.keys.size, gdim))
-    home, (points,) = _known(directory, *directory.collect(copies[local], x[local]))
-    table[home] = points
-    coordinates: Vector = directory.lookup(nodes, table)[1]
+    table = directory.table(system.nodes[local], x[local])
+    coordinates: Vector = directory.lookup(nodes, *table)[1]
     return coordinates
 
 
@@ -312,18 +304,8 @@ def _with_springs(
     system: TornSystem, kernels: Sequence[Vector], unknowns: TornUnknowns
 ) -> NDArray[np.bool_]:
     """Tell which torn nodes are in subdomains that cannot move freely in all directions."""
-    rigid = {2: 3, 3: 6}[system.gdim]
-    return np.concatenate(
-        [
-            np.zeros(0, dtype=bool),
-            *(
-                np.full(subdomain.nodes.size, kernel.shape[1] - grounds < rigid)
-                for subdomain, kernel, grounds in zip(
-                    system.subdomains, kernels, unknowns.grounds, strict=True
-                )
-            ),
-        ]
-    )
+    modes = np.array([kernel.shape[1] for kernel in kernels], dtype=np.int64)
+    return system.at_copies(modes - unknowns.grounds < {2: 3, 3: 6}[system.gdim])
 
 
 def _reactions(
@@ -345,27 +327,13 @@ def _reactions(
     condition = np.full(shape, -1, dtype=np.int64)
     np.maximum.at(condition, (directory.position(nodes), components), number)
 
-    nodes = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in system.subdomains)])
-    loaded = supports.any(axis=1)
-    points, reaction = np.zeros(shape), np.zeros(shape)
-    home, (point, force) = _known(
-        directory, *directory.collect(nodes[loaded], x[loaded], supports[loaded])
-    )
-    points[home] = point
-    np.add.at(reaction, home, force)
-
+    loaded, pressed = supports.any(axis=1), end_forces.any(axis=1)
+    (points,) = directory.table(system.nodes[loaded], x[loaded])
     # a contact force on a prescribed component is in the multiplier of the support
-    pressed = end_forces.any(axis=1)
-    home, (force,) = _known(directory, *directory.collect(ends[pressed], end_forces[pressed]))
-    np.subtract.at(reaction, home, force)
+    reaction = directory.sums(
+        np.append(system.nodes[loaded], ends[pressed]),
+        np.concatenate([supports[loaded], -end_forces[pressed]]),
+    )
     return [
         _NodalForces(points, np.where(condition == i, reaction, 0.0)) for i in range(conditions)
     ]
-
-
-def _known(
-    directory: Directory, nodes: Numbers, *columns: Vector
-) -> tuple[Numbers, tuple[Vector, ...]]:
-    """Return the positions at home of the nodes that the directory has, and their columns."""
-    home = directory.position(nodes)
-    return home[home >= 0], tuple(column[home >= 0] for column in columns)

@@ -87,7 +87,7 @@ def _with_missing_forces(
     friction = coarse_space.constraints.friction
     # the second time for what rounding leaves where contact rows resist much less than others
     for _ in range(2):
-        missing = face.without_free_motions(e - coarse_space.restrict(multipliers))
+        missing = e - coarse_space.restrict(multipliers)
         multipliers = multipliers + face.least_norm(missing)
         forces = balls.on_boundary(friction.at_sites(multipliers), radius, ~sticking)
         multipliers = friction.with_sites(multipliers, forces)
@@ -130,11 +130,10 @@ def _motions(
     coarse_space = face.coarse_space
     joined, alpha = _least_squares(face, c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
-    free_part = joined.free.T @ (alpha + coarse_space.coarse_load(strained))
-    alpha -= joined.free @ free_part
+    alpha -= joined.free @ (joined.free.T @ coarse_space.coarse_load(strained))
     # once more for what rounding has left
     jumps = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
-    alpha += joined.without_free_motions(joined.coefficients(jumps))
+    alpha += joined.coefficients(jumps)
     if face.free.shape[1]:
         gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
         alpha += face.free @ _free_motions(face, gap, multipliers)

@@ -41,7 +41,7 @@ class RowBodies:
         `ends` (subdomains + 1,) has the first torn unknown of each subdomain, and the end of the
         last.
         """
-        of_subdomain = np.array([s.body for s in system.subdomains], dtype=np.int64)
+        of_subdomain = system.bodies
         count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
