@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import partial
 
 from mpi4py import MPI
 
@@ -16,10 +17,12 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.checks.system import check_guess, check_system, check_types
 from fenics_tfeti.feti.coarse.feasible_start import feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import check_load
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
-from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
+from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.ground import hold_ground
+from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -38,7 +41,6 @@ from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
     SolveContext,
-    build_projector,
     choose_factor,
     dual_problem,
     factor_subdomains,
@@ -185,11 +187,20 @@ class TornSolver:
             constraints, c = hold_ground(constraints, c, local.unknowns)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
-            projector = (
-                same_B.projector
-                if same_B
-                else build_projector(system, options, local, constraints, package)
-            )
+            if same_B:
+                projector = same_B.projector
+            else:
+                interface = Interface.build(constraints.matrix, local.classes)
+                projector = Projector.build(
+                    CoarseSpace.build(
+                        system,
+                        constraints,
+                        interface,
+                        local.kernels,
+                        package,
+                        options.coarse_solver,
+                    )
+                )
         with phase("feasible start"):
             data = self._data(local, projector, c, constraints.friction)
         with phase("factorisation"):
@@ -220,37 +231,21 @@ class TornSolver:
             np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
         )
         e = coarse_space.coarse_load(load)
-        check_load(system, local.kernels, projector, e)
+        check_load(system, projector, e)
         bound = friction.bound
-        feasible = feasible_start(
+        self._balance = partial(
+            feasible_start,
             system,
-            local.kernels,
             coarse_space,
             e,
             c,
             local.unit,
-            bound,
             close_gaps=self.options.method != "smalbe",
         )
+        feasible = self._balance(bound)
         radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
         size = coarse_space.coarse_load_size(load)
         return ContactData(load, c, e, size, feasible, bound, radius)
-
-    def _balance(self, bound: SlipBound) -> Vector:
-        """Return the feasible start for other slip bounds."""
-        local, data = self.setup.local, self.data
-        coarse_space = self.setup.projector.coarse_space
-        return feasible_start(
-            self.system,
-            local.kernels,
-            coarse_space,
-            data.e,
-            data.c,
-            local.unit,
-            bound,
-            close_gaps=self.options.method != "smalbe",
-            explain=False,
-        )
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
@@ -323,7 +318,7 @@ class TornSolver:
         """
         self.system = replace(self.system, subdomains=[])
         if hasattr(self, "setup"):
-            del self.setup
+            del self.setup, self._balance
 
     def solve(self, monitor: MonitorFunction | None = None) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
@@ -363,7 +358,8 @@ class TornSolver:
         context = SolveContext(
             self.setup, self.data, self.options, self.timer, monitor, self.system.body_names
         )
-        outcome = iterate_slip_bounds(context, self._start, self._balance)
+        balance = partial(self._balance, explain=False)
+        outcome = iterate_slip_bounds(context, self._start, balance)
         self._start = outcome.start
         report = build_report(self.system, context, outcome, self.reused)
         solution = self._solution(outcome, report)

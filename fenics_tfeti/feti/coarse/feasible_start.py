@@ -12,8 +12,6 @@ decided here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from mpi4py import MPI
 
 import numpy as np
@@ -38,7 +36,6 @@ _DENSE = 200
 
 def feasible_start(
     system: TornSystem,
-    kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
     e: Vector,
     c: Vector,
@@ -61,7 +58,7 @@ def feasible_start(
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    free, weak = _softly_supported(coarse_space)
+    free, weak = coarse_space.weakly_resisted(constraints.equality, _SOFTLY)
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.coefficients(c))
         gaps = unit * (c - prescribed)[constraints.inequality]
@@ -69,28 +66,22 @@ def feasible_start(
             gaps *= SURFACE
         elif not weak.shape[1]:
             gaps = np.where(np.isfinite(gaps), 0.0, gaps)
-        if coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope))):
-            # soft supports carry what contact and friction need not
-            for group in split_by_groups(system, coarse_space, free, e):
-                start += _forces_with_friction(
-                    system, kernels, coarse_space, group, gaps, bound, explain
-                )
-        else:
-            both = sp.hstack([free, weak], format="csc")
-            for group in split_by_groups(system, coarse_space, both, e):
-                start += _contact_forces(system, kernels, coarse_space, group, free, gaps)
+        some = coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope)))
+        # with friction, soft supports carry what contact and friction need not
+        motions = free if some else sp.hstack([free, weak], format="csc")
+        for group in split_by_groups(system, coarse_space, motions, e):
+            if not group.counts(group.work):
+                continue
+            if some:
+                start += _forces_with_friction(system, coarse_space, group, gaps, bound, explain)
+            else:
+                start += _contact_forces(system, coarse_space, group, free, gaps)
     # (11.38) for what the contact forces leave
     return start + supports.least_norm(e - coarse_space.restrict(start))
 
 
-def _softly_supported(coarse_space: CoarseSpace) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-    """Return the motions of bodies that equality rows resist not at all, and softly: (z, z)."""
-    return coarse_space.weakly_resisted(coarse_space.constraints.equality, _SOFTLY)
-
-
 def _contact_forces(
     system: TornSystem,
-    kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
     group: LoadedGroup,
     free: sp.csr_matrix,
@@ -104,8 +95,6 @@ def _contact_forces(
     """
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
-    if np.linalg.norm(group.work) <= ZERO * group.force:
-        return multipliers
     # the ranks' columns side by side: as many as contact rows, not as unknowns
     owned = constraints.inequality[: constraints.owned_inequalities]
     moved, gaps = _moved_rows(coarse_space, group.motions)[owned], gaps[: owned.size]
@@ -123,8 +112,8 @@ def _contact_forces(
         gap=concatenate_ranks(coarse_space.comm, gaps),
     )
     unresisted = free @ (free.T @ (group.motions @ residual))
-    if np.linalg.norm(unresisted) > ZERO * group.force:
-        raise_unresisted(system, kernels, coarse_space, unresisted)
+    if group.counts(unresisted):
+        raise_unresisted(system, coarse_space, unresisted)
     multipliers[owned] = forces[first : first + owned.size]
     return constraints.layout.sum(multipliers)
 
@@ -139,7 +128,6 @@ def _side_by_side(comm: MPI.Intracomm, rows: sp.csr_matrix) -> tuple[sp.csc_matr
 
 def _forces_with_friction(
     system: TornSystem,
-    kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
     group: LoadedGroup,
     gaps: Vector,
@@ -152,8 +140,6 @@ def _forces_with_friction(
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     multipliers, friction = np.zeros(constraints.size), constraints.friction
-    if np.linalg.norm(group.work) <= ZERO * group.force:
-        return multipliers
     moved_rows = _moved_rows(coarse_space, group.motions)
     owned = constraints.inequality[: constraints.owned_inequalities]
     closing = np.isfinite(gaps[: owned.size])
@@ -179,14 +165,14 @@ def _forces_with_friction(
     C = sp.hstack([pressing, rubbing, nothing], format="csr")
     C = C.toarray() if group.work.size <= _DENSE else C
     forces, residual = least_norm(C, group.work, feasible)
-    if np.linalg.norm(residual) > ZERO * group.force:
+    if group.counts(residual):
         some = explain and (radius.any() or slope.any())
         factor = smallest_factor(C, group.work, feasible) if some else np.inf
         kinds = ["slip bounds"] * bool(radius.any()) + ["coefficients of friction"] * bool(
             slope.any()
         )
         motion = group.motions @ residual
-        raise_unresisted(system, kernels, coarse_space, motion, factor, " and ".join(kinds))
+        raise_unresisted(system, coarse_space, motion, factor, " and ".join(kinds))
     multipliers[owned] = forces[first : first + owned.size]
     first = pressing.shape[1] + first_rubbing
     of_sites = forces[first : first + present.size].reshape(present.shape)

@@ -173,13 +173,7 @@ class Projector:
 
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""
-        return self._repeated(self._Q, x, lambda Qx: Qx)
-
-    def _Q(self, x: Vector) -> Vector:
-        x = self.on_rows(x)
-        weak = self.gram.rows @ self.gram.weak_part(x)
-        coarse = self.gram.factor.solve(self.coarse_space.restrict(x))
-        return self.on_rows(self.coarse_space.prolong(coarse) + weak)
+        return self._sum(self.part_of_Q(x)[0])
 
     def P(self, x: Vector) -> Vector:
         """Return Px = x - Qx."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +18,7 @@ from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Vector
 
 
-def check_load(
-    system: TornSystem, kernels: Sequence[Vector], projector: Projector, e: Vector
-) -> None:
+def check_load(system: TornSystem, projector: Projector, e: Vector) -> None:
     """Check that the load does no work on the motions that no constraint resists.
 
     The projector is that of all constraints and e = R'f (coarse,). Raises `UnresistedMotion`, which
@@ -29,8 +26,8 @@ def check_load(
     """
     coarse_space = projector.coarse_space
     for group in split_by_groups(system, coarse_space, projector.free_bodies, e):
-        if np.linalg.norm(group.work) > ZERO * group.force:
-            raise_unresisted(system, kernels, coarse_space, group.motions @ group.work)
+        if group.counts(group.work):
+            raise_unresisted(system, coarse_space, group.motions @ group.work)
 
 
 @dataclass(frozen=True)
@@ -40,6 +37,10 @@ class LoadedGroup:
     motions: sp.csc_matrix  # orthonormal z (modes * bodies, k), see `BodyMotions`
     work: Vector  # (k,): of the load on these motions [N]
     force: float  # sum of |nodal loads| [N]: bounds the work, but for rotations of what reaches far
+
+    def counts(self, work: Vector) -> bool:
+        """Tell whether work on motions is more than rounding [N]."""
+        return bool(np.linalg.norm(work) > ZERO * self.force)
 
 
 def split_by_groups(
@@ -72,7 +73,6 @@ def split_by_groups(
 
 def raise_unresisted(
     system: TornSystem,
-    kernels: Sequence[Vector],
     coarse_space: CoarseSpace,
     z: Vector,
     factor: float = np.inf,
@@ -83,7 +83,7 @@ def raise_unresisted(
     `friction`, what limits it, times `factor` would balance the load.
     """
     own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
-    motions = describe_body_motion(system, kernels, own_motion)
+    motions = describe_body_motion(system, coarse_space.kernels, own_motion)
     if np.isfinite(factor):
         raise UnresistedMotion(
             "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "

@@ -26,14 +26,13 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Operator, Vector
 
 # modes of all ranks: A is factored on each of them for each face, which takes 0.3 s where 144 boxes
 # of 8 x 8 x 6 hexahedra have 5760
 _MOST = 6000
-# entries of C, whose columns are of length 1 at most, that are left out
-_SMALL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,8 @@ class DeluxeScaling:
         blocks = [sp.csr_matrix(v) for n, v in zip(members, V, strict=True) for _ in range(n)]
         whole = sp.block_diag([sp.csr_matrix((0, 0)), *blocks], format="csr")
         entries = (interface.matrix @ whole).tocoo()
-        kept = np.abs(entries.data) > _SMALL
+        # columns of C are of length 1 at most
+        kept = np.abs(entries.data) > ZERO
         places = (entries.row[kept], entries.col[kept] + first)
         own = sp.csr_matrix((entries.data[kept], places), (constraints.size, total))
         C = constraints.layout.sum_sparse(own)

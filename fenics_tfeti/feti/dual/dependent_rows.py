@@ -16,10 +16,8 @@ import numpy as np
 from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
 from fenics_tfeti.feti.dual.pcpg import ContactState
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Numbers, Vector
-
-# part of the gaps of dependent rows that is rounding
-_CONSISTENT = 1e-9
 
 
 def closable(
@@ -95,9 +93,9 @@ class _CoupledRows:
             null = null_space(coupling.gram[rows][:, rows].toarray())
             y = -null @ (null.T @ self._gap[rows])
             largest = np.abs(y).max(initial=0.0)
-            if largest <= _CONSISTENT * np.abs(self._gap[rows]).max(initial=0.0):
+            if largest <= ZERO * np.abs(self._gap[rows]).max(initial=0.0):
                 return
-            y[np.abs(y) <= _CONSISTENT * largest] = 0.0
+            y[np.abs(y) <= ZERO * largest] = 0.0
             step = np.where(coupling.tangential[rows], self._to_bound(rows, y), np.inf)
             falling = ~(coupling.tied | coupling.tangential)[rows] & (y < 0.0)
             step[falling] = self.force[rows[falling]] / -y[falling]

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -21,15 +22,12 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.qp import projected_newton
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# closing of a row, relative to its length, by a unit motion that does not move it
-_TRACE = 1e-13
 # rows of a product that are formed at once
 _AT_ONCE = 10_000
-# penetration that rounding leaves, relative to what the motion changes in the row
-_CLOSED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -69,50 +67,53 @@ class LooseBodies:
         owned = constraints.inequality[: constraints.owned_inequalities]
         off = owned[~rows[owned]]
         rows_moved = coarse_space.bodies.moved[off] @ _moving(motions)
-        moved = _largest_of_rows(rows_moved, motions) > _TRACE
+        # rows of unit length that a motion of size 1 does not move have traces of it
+        moved = _largest_of_rows(rows_moved, motions) > rounding(1.0, MANY)
         closing = sp.diags(constraints.row_lengths[off[moved]]) @ rows_moved[moved]
         return LooseBodies(coarse_space, motions, off[moved], closing.tocsr(), held)
+
+    def motion(self, gap: Vector) -> Vector:
+        """Return the free motion with the least penetration of gaps (m,). Collective."""
+        return least_penetration(self.coarse_space, self.closing, gap[self.rows], self.motions)
 
     def at_least_penetration(self, gradient: Vector) -> Vector:
         """Return the gradient after the free motion with the least penetration. Collective.
 
         The gradient (m,) has on contact rows off the face their gaps, after any free motion.
         """
-        return self._moved(gradient, self.motion(gradient))
-
-    def _moved(self, gradient: Vector, z: Vector) -> Vector:
-        """Return the gradient after a motion."""
+        coarse_space, z = self.coarse_space, self.motion(gradient)
         if not z.any():
             return gradient
-        moved = self._moved_rows(z)
+        # bitwise the same on all holders of a row
+        layout = coarse_space.constraints.layout
+        moved = layout.sum(layout.owned_part(coarse_space.moved_rows(self.motions @ z)))
         moved -= self.held(moved)
-        moved[self.coarse_space.constraints.equality] = 0.0
+        moved[coarse_space.constraints.equality] = 0.0
         moved_gradient: Vector = gradient - moved
         # bodies that find their position touch others without pressing on them
         moved_gradient[np.abs(moved_gradient) <= self._rounding(np.abs(moved))] = 0.0
         return moved_gradient
 
-    def _moved_rows(self, z: Vector) -> Vector:
-        """Return what a motion does to the rows, bitwise the same on all their holders."""
-        layout = self.coarse_space.constraints.layout
-        return layout.sum(layout.owned_part(self.coarse_space.moved_rows(self.motions @ z)))
-
     def _rounding(self, size: Vector) -> Vector:
         """Return the penetration that rounding leaves in rows that moved so far. Collective."""
         largest = float(self.coarse_space.comm.allreduce(size.max(initial=0.0), MPI.MAX))
-        return np.maximum(_CLOSED * size, np.finfo(float).eps * largest)
+        return np.maximum(ZERO * size, rounding(largest))
 
-    def motion(self, gap: Vector) -> Vector:
-        """Return the motion with the least penetration, see `projected_newton`. Collective."""
-        coarse_space = self.coarse_space
-        space, comm = coarse_space.constraints.layout.space, coarse_space.comm
-        return projected_newton(
-            self.closing,
-            gap[self.rows],
-            basis=self.motions,
-            sum_vectors=space.sum_over_ranks,
-            sum_matrices=lambda part: sum_sparse(comm, part),
-        )
+
+def least_penetration(
+    coarse_space: CoarseSpace, S: sp.csr_matrix, gap: Vector, basis: sp.csr_matrix | None = None
+) -> Vector:
+    """Return the motion with the least penetration of all ranks' rows. Collective.
+
+    Rows (r, n) of S are closed by the motions (n, k) of a basis, see `projected_newton`.
+    """
+    return projected_newton(
+        S,
+        gap,
+        basis=basis,
+        sum_vectors=coarse_space.constraints.layout.space.sum_over_ranks,
+        sum_matrices=partial(sum_sparse, coarse_space.comm),
+    )
 
 
 def _moving(motions: sp.csr_matrix) -> sp.csr_matrix:

@@ -57,8 +57,7 @@ class Preconditioner:
         coupling = self.constraints.coupling
         if not coupling.numbers.size and self.scaling is None:
             return self.apply
-        (on_rows,) = coupling.gather(rows.astype(float))
-        inverse = self._inverse_of(on_rows > 0.0)
+        inverse = self._inverse_of(rows)
         if self.scaling is not None:
             return self._with_scaling(self.scaling.on_face(rows, inverse))
 
@@ -98,8 +97,7 @@ class Preconditioner:
         coupling = self.constraints.coupling
         if not coupling.groups:
             return 0.0
-        (on_rows,) = coupling.gather(rows.astype(float))
-        null = self._inverse_of(on_rows > 0.0).null
+        null = self._inverse_of(rows).null
         part = np.zeros_like(x)
         part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
         return part
@@ -117,8 +115,7 @@ class Preconditioner:
         coupling = self.constraints.coupling
         if not coupling.groups or (tangent is None and not compliance):
             return None
-        (on_rows,) = coupling.gather(rows.astype(float))
-        kernel = self._inverse_of(on_rows > 0.0).null.toarray()
+        kernel = self._inverse_of(rows).null.toarray()
         if not kernel.shape[1]:
             return None
         hessian = compliance * np.identity(kernel.shape[1])
@@ -161,8 +158,9 @@ class Preconditioner:
         moved = _without_rounding(sp.csr_matrix((turns[turning], places), shape) @ kernel)
         return kernel, moved, curvature[turning[first]][:, None]
 
-    def _inverse_of(self, chosen: Mask) -> GramInverse:
-        """Factor W_RR, unless R is the same as last."""
+    def _inverse_of(self, rows: Mask) -> GramInverse:
+        """Factor W_RR of rows (m,), unless R is the same as last. Collective."""
+        chosen = self.constraints.coupling.gather(rows.astype(float))[0] > 0.0
         if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):
             self._inverse = self.constraints.coupling.inverse(chosen)
         return self._inverse

@@ -19,17 +19,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, least_penetration
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
-from fenics_tfeti.qp import balls, projected_newton
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
-# limit on the changes of the rows that determine the rigid motions
-_NEWTON_STEPS = 20
 # limit on the corrections of forces that turn
 _TURNS = 8
 
@@ -107,8 +105,7 @@ def recover_displacement(
 
     alpha makes the equality rows and the rows with a force, those of the face, hold in the least
     squares sense (end of sec. 11.6). Where these leave motions free, it is the one of smallest norm
-    that penetrates nothing; where they resist motions weakly, what is penetrated takes part in the
-    least squares. A weight of 1 stands for the stiffness `unit` [N/m].
+    that penetrates nothing. A weight of 1 stands for the stiffness `unit` [N/m].
     """
     coarse_space, rows = face.coarse_space, F.constraints.inequality
     forces = load - F.constraint_forces(multipliers)
@@ -128,42 +125,16 @@ def _motions(
 ) -> Vector:
     """Return alpha for a torn displacement without rigid motions: in each of its three parts."""
     coarse_space = face.coarse_space
-    joined, alpha = _least_squares(face, c - F.jumps(strained))
+    alpha = face.coefficients(c - F.jumps(strained))
     # K^+ leaves some of the free motions in u
-    alpha -= joined.free @ (joined.free.T @ coarse_space.coarse_load(strained))
+    alpha -= face.free @ (face.free.T @ coarse_space.coarse_load(strained))
     # once more for what rounding has left
-    jumps = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
-    alpha += joined.coefficients(jumps)
-    if face.free.shape[1]:
+    alpha += face.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
+    loose = LooseBodies.on_face(face)
+    if loose is not None:
         gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
-        alpha += face.free @ _free_motions(face, gap, multipliers)
+        alpha += _free_motions(face, loose, gap, multipliers)
     return alpha
-
-
-def _least_squares(face: Projector, jumps: Vector) -> tuple[Projector, Vector]:
-    """Return alpha with B R alpha = jumps in the least squares sense, and the face of its rows.
-
-    Rows that resist weakly turn a small error of the multipliers into a large motion; the contact
-    rows that it penetrates limit it. They join the least squares, and leave them where they would
-    pull: the semismooth Newton method for the sum of squares of jumps and penetrations.
-    """
-    coarse_space = face.coarse_space
-    rows, layout = coarse_space.constraints.inequality, coarse_space.constraints.layout
-    sticking = coarse_space.constraints.friction.within(face.rows)
-    alpha, pressing = face.coefficients(jumps), face.rows[rows]
-    for _ in range(_NEWTON_STEPS):
-        if not face.gram.is_corrected:
-            break
-        moved = coarse_space.prolong(alpha)
-        largest = float(max(np.abs(moved).max(initial=0.0), np.abs(jumps).max(initial=0.0)))
-        negligible = rounding(layout.comm.allreduce(largest, MPI.MAX), FEW)
-        penetration, joined = (moved - jumps)[rows], face.rows[rows]
-        active = pressing | (penetration > np.where(joined, -negligible, negligible))
-        if not layout.space.sums(float(np.count_nonzero(active != joined)))[0]:
-            break
-        face = Projector.build(coarse_space, active, sticking, face.across)
-        alpha = face.coefficients(jumps)
-    return face, alpha
 
 
 def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
@@ -271,61 +242,39 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
         R = R | penetrated
 
 
-def _free_motions(active: Projector, gap: Vector, multipliers: Vector) -> Vector:
-    """Return the free motions, in the basis ``active.free``, that the other conditions leave.
+def _free_motions(face: Projector, loose: LooseBodies, gap: Vector, multipliers: Vector) -> Vector:
+    """Return the part of alpha in the free motions, which the other conditions leave.
 
     They penetrate nothing, and sites whose friction is at its bound slip along it: forces that
     balance there leave the place of a body to the slips that the deformation makes.
     """
-    S, gaps = _other_contacts(active, gap)
-    comm, space = active.coarse_space.comm, active.coarse_space.constraints.layout.space
-
-    def smallest(S: sp.csr_matrix, gaps: Vector) -> Vector:
-        return projected_newton(
-            S,
-            gaps,
-            sum_vectors=space.sum_over_ranks,
-            sum_matrices=lambda part: sum_sparse(comm, part),
-        )
-
-    z = smallest(S, gaps)
-    if not active.coarse_space.constraints.has_friction:
-        return z
-    backwards, slips = _slips_against_friction(active, -gap, multipliers)
-    against = comm.allreduce(float((backwards @ z - slips).max(initial=0.0)), MPI.MAX)
-    largest = comm.allreduce(float(np.abs(slips).max(initial=0.0)), MPI.MAX)
-    if against > ZERO * largest:
-        S, left = sp.vstack([S, backwards], format="csr"), np.append(gaps, slips)
-        z = z + smallest(S, left - S @ z)
-    return z
-
-
-def _other_contacts(active: Projector, gap: Vector) -> tuple[sp.csr_matrix, Vector]:
-    """Return closing by the free motions and gaps of this rank's other contact rows."""
-    constraints = active.coarse_space.constraints
-    owned = constraints.inequality[: constraints.owned_inequalities]
-    inactive = np.flatnonzero(~active.rows[owned])
-    closing = (active.coarse_space.contact[:, inactive].T @ active.free).tocsr()
-    lengths = constraints.row_lengths[owned[inactive]]
-    # rounding is no way to open a gap
-    moved = np.abs(closing.toarray()).max(axis=1, initial=0.0) > rounding(lengths, MANY)
-    return closing[moved], gap[owned[inactive[moved]]]
+    coarse_space, T = face.coarse_space, loose.motions
+    z = loose.motion(gap)
+    if coarse_space.constraints.has_friction:
+        backwards, slips = _slips_against_friction(face, -gap, multipliers)
+        against = (backwards @ (T @ z) - slips).max(initial=0.0)
+        sizes = np.array([against, np.abs(slips).max(initial=0.0)])
+        coarse_space.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
+        if sizes[0] > ZERO * sizes[1]:
+            S = sp.vstack([loose.closing, backwards], format="csr")
+            left = np.append(gap[loose.rows], slips) - S @ (T @ z)
+            z = z + least_penetration(coarse_space, S, left, T)
+    alpha: Vector = coarse_space.coarse_motions(T @ z)
+    return alpha
 
 
 def _slips_against_friction(
-    active: Projector, jump: Vector, multipliers: Vector
+    face: Projector, jump: Vector, multipliers: Vector
 ) -> tuple[sp.csr_matrix, Vector]:
-    """Return slip against the force by the free motions, and slip along it, where sites may slip.
+    """Return slip against the force by motions of bodies, and slip along it, where sites may slip.
 
     They are those of the sites that this rank owns, in units of jumps.
     """
-    constraints = active.coarse_space.constraints
+    constraints = face.coarse_space.constraints
     friction = constraints.friction
     along = balls.directions(friction.at_sites(multipliers))
-    mine = friction.owned(constraints.layout.owned) & ~friction.within(active.rows)
+    mine = friction.owned(constraints.layout.owned) & ~friction.within(face.rows)
     sites = np.flatnonzero(mine & along.any(axis=1))
-    if not sites.size:
-        return sp.csr_matrix((0, active.free.shape[1])), np.zeros(0)
-    rows = active.coarse_space.friction @ friction.combined(along, jump.size)[sites].T
+    rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.row_lengths)
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
-    return (-(rows.T @ active.free)).tocsr(), slips
+    return (-(rows @ face.coarse_space.bodies.moved)).tocsr(), slips

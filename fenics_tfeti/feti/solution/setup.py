@@ -17,7 +17,6 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError, UnstableTangent
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
@@ -452,22 +451,6 @@ def dual_problem(
         data.feasible,
         loads[1],
         energy_norm,
-    )
-
-
-def build_projector(
-    system: TornSystem,
-    options: Options,
-    local: LocalSetup,
-    constraints: Constraints,
-    package: str,
-) -> Projector:
-    """Form G and the projectors of all rows. Collective."""
-    interface = Interface.build(constraints.matrix, local.classes)
-    return Projector.build(
-        CoarseSpace.build(
-            system, constraints, interface, local.kernels, package, options.coarse_solver
-        )
     )
 
 
