@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
+import numpy as np
 import pytest
 
 from fenics_tfeti.errors import NotConverged
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import Directory, raise_collectively
 
 COMM = MPI.COMM_WORLD
 
@@ -62,3 +63,18 @@ def test_error_that_cannot_be_sent_is_raised_on_all():
     with pytest.raises(expected, match="odd"), raise_collectively(COMM):
         if COMM.rank == last:
             raise OddError("odd", "error")
+
+
+@pytest.mark.ranks(2)
+def test_tables_and_sums_at_home():
+    """Each rank has the keys 5 and 10 + rank; rows with the key 7 are left out."""
+    keys = np.array([5, 10 + COMM.rank])
+    directory = Directory(COMM, keys)
+    values = np.array([[1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    rows = np.append(keys, 7)
+    sums = directory.sums(rows, values)
+    (single,) = directory.table(rows, values[:, 0])
+    found = directory.lookup(keys, sums, directory.sums(rows, values[:, 1]), single)[1:]
+    np.testing.assert_array_equal(found[0], [[COMM.size, 2.0 * COMM.size], [3.0, 4.0]])
+    np.testing.assert_array_equal(found[1], [2.0 * COMM.size, 4.0])
+    np.testing.assert_array_equal(found[2], [1.0, 3.0])

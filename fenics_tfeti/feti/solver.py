@@ -29,11 +29,7 @@ from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report.report import Report, build_report
-from fenics_tfeti.feti.report.resultants import (
-    normal_forces,
-    tangential_forces,
-    tied_forces,
-)
+from fenics_tfeti.feti.report.resultants import tangential_forces
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.scale import LANCZOS_STEPS, EnergyScale, FeasibleState
@@ -268,7 +264,7 @@ class TornSolver:
 
     def _guessed_state(self, state: Iterate | None, guess: ContactGuess) -> Iterate:
         """Return a state with the guessed forces and active set of the inequality rows."""
-        constraints, own = self.setup.constraints, self.setup.constraints.own_rows
+        constraints, own = self.setup.constraints, self.setup.constraints.contacts.own_rows
         kept, rows = own >= 0, constraints.inequality
         force, gap = np.zeros(constraints.size), np.zeros(constraints.size)
         force[own[kept]] = np.maximum(guess.normal_force[kept], 0.0)
@@ -278,9 +274,9 @@ class TornSolver:
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
         # a guessed force closes the gap against the stiffness of the surface
         unit = SURFACE * self.setup.local.unit
-        active = force / (unit * constraints.scale**2) > gap
+        active = force / (unit * constraints.contacts.scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
-        multipliers[rows] = np.where(active, force / constraints.scale, 0.0)
+        multipliers[rows] = np.where(active, force / constraints.contacts.scale, 0.0)
         return Iterate(multipliers, active=active)
 
     @property
@@ -381,7 +377,7 @@ class TornSolver:
         multipliers = outcome.candidate.multipliers
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
-        normal_force = normal_forces(self.setup.constraints, multipliers)
+        normal_force = self.setup.constraints.contacts.forces(multipliers)
         friction = self.setup.constraints.friction
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.pressing(multipliers, self.setup.constraints.layout)
@@ -391,7 +387,7 @@ class TornSolver:
             unknowns.split(recovered.torn),
             normal_force,
             normal_force > 0.0,
-            tied_forces(self.setup.constraints, multipliers),
+            self.setup.constraints.tied.forces(multipliers),
             tangential_forces(self.setup.constraints, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),
             friction.given(recovered.sticking.astype(float)) > 0.0,

@@ -2,11 +2,10 @@
 
 Parameters of a single algorithm stand where it is implemented.
 
-Sensitivity on 300 random problems of tests/fuzz, one rank, measured without Newton's method for
-weak motions in the recovery: no outcome changes if `ZERO`, `WEAK`, `SURFACE` and `SOFT_SUPPORT` are
-twice as large, all at once, or half as large, nor if the numbers of rounding errors,
-`HARDLY_DEFORMED` and `UNDEFORMED` are. All products together change by about 1 % at most. What is
-known of a single constant is said beside it.
+Sensitivity on 300 random problems of tests/fuzz, one rank: no outcome changes if `ZERO`, `WEAK`,
+`SURFACE` and `SOFT_SUPPORT` are twice as large, all at once, or half as large, nor if the numbers
+of rounding errors, `HARDLY_DEFORMED` and `UNDEFORMED` are. All products together change by about
+1 % at most. What is known of a single constant is said beside it.
 """
 
 from __future__ import annotations
@@ -47,9 +46,8 @@ def rounding(size: T, n: int = 1) -> T:
 # no more, ||B R xi||, leave it free.
 ZERO = 1e-9
 # resistance ||B R xi|| that GG', which squares it, does not show: half the digits. Motions up to it
-# are pinned in the factor of GG' and corrected. At twice it, one of the 300 problems ends at
-# the limit of rounding instead of its solution, with Newton's method in the recovery only; at half
-# of it no problem takes another number of products
+# are pinned in the factor of GG' and corrected. At half of it no problem takes another number of
+# products
 WEAK = 1e-4
 # the same below which only the tilt of normals on faceted surfaces resists, which holds nothing:
 # the report names the motions

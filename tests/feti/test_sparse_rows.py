@@ -327,10 +327,10 @@ def test_preconditioner_is_that_of_one_rank():
     def energy(solver: TornSolver, mine: slice) -> float:
         constraints = solver.setup.constraints
         tied, x = constraints.tied, np.zeros(constraints.size)
-        x[constraints.own_rows] = np.where(active, forces, 0.0)[mine]
+        x[constraints.contacts.own_rows] = np.where(active, forces, 0.0)[mine]
         x[tied.own_rows] = ties[mine]
         on_face = np.zeros(constraints.size)
-        on_face[constraints.own_rows] = active[mine]
+        on_face[constraints.contacts.own_rows] = active[mine]
         x, on_face = constraints.layout.sum(x), constraints.layout.sum(on_face)
         rows = constraints.equality | (on_face > 0.0)
         M = solver.setup.preconditioner.on_face(rows)

@@ -22,11 +22,14 @@ RUN = Path(__file__).with_name("run.py")
 NEEDS = {
     ("both", 49): "Newton's method where the active set cycles",
     ("both", 67): "the ground of soft springs as unknowns",
+    ("both", 121): "motions that supports prescribe, out of the right-hand sides",
     ("both", 162): "free motions of several bodies together",
     ("both", 193): "polished forces of rigid bodies, SMALBE-M",
     ("both", 196): "the solution at rest",
     ("both", 199): "polished forces of rigid bodies",
+    ("both", 318): "rows that depend on each other leave a face",
     ("both", 446): "Newton's method where the sets repeat",
+    ("both", 525): "a part of the preconditioner of SMALBE-M for dependent rows",
     ("both", 694): "passes without the residual of the recurrences",
     ("both", 961): "passes without the residual of the recurrences",
     ("both", 1059): "passes without the residual of the recurrences",
@@ -40,7 +43,7 @@ NEEDS = {
 }
 
 
-SLOW = {("both", 49), ("both", 694), ("both", 1059)}
+SLOW = {("both", 49), ("both", 525), ("both", 694), ("both", 1059)}
 
 
 @pytest.mark.once

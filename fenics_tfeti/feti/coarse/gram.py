@@ -38,7 +38,7 @@ class GramInverse:
         coarse_space: CoarseSpace,
         columns: sp.csr_matrix,
         free: tuple[sp.csr_matrix, sp.csr_matrix],
-        weak: Vector,
+        weak: sp.csr_matrix,
         on_rows: Callable[[Vector], Vector],
     ) -> GramInverse:
         """Factor A and correct its inverse. Collective.
@@ -49,13 +49,15 @@ class GramInverse:
         """
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
-        pins = _pins(coarse_space, gram, free, coarse_space.coarse_motions(sp.csr_matrix(weak)))
+        pins = _pins(coarse_space, gram, free, coarse_space.coarse_motions(weak))
         motions = coarse_space.motions_for_multigrid()
         factor = layout.factor(layout.add_to_diagonal(gram, pins), *motions)
         dual_layout = coarse_space.constraints.layout
         none = np.zeros((layout.size, 0)), np.zeros((dual_layout.numbers.size, 0))
         inverse = GramInverse(dual_layout, factor, *none)
-        return inverse._corrected(coarse_space, weak, on_rows) if weak.shape[1] else inverse
+        if not weak.shape[1]:
+            return inverse
+        return inverse._corrected(coarse_space, weak.toarray(), on_rows)
 
     def _corrected(
         self, coarse_space: CoarseSpace, weak: Vector, on_rows: Callable[[Vector], Vector]

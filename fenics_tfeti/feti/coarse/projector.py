@@ -83,7 +83,7 @@ class Projector:
             coarse_space,
             coarse_space.columns(rows, combined),
             (free[:, single], free[:, ~single]),
-            weak.toarray(),
+            weak,
             partial(_on_rows, constraints.friction, rows, across),
         )
         projector = Projector(coarse_space, rows, across, free, z, gram)
@@ -111,6 +111,8 @@ class Projector:
 
     def without_free_motions(self, coarse: Vector) -> Vector:
         """Return a coarse vector without its part in the motions that the rows do not resist."""
+        if not self.free.shape[1]:
+            return coarse
         part: Vector = coarse - self.free @ (self.free.T @ coarse)
         return part
 

@@ -82,7 +82,7 @@ def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> No
     """Raise the error; rows are named by the ranks that gave them."""
     nodes, contact_numbers = [], []
     for rows, positions in (
-        (system.contacts, constraints.own_rows),
+        (system.contacts, constraints.contacts.own_rows),
         (system.tied, constraints.tied.own_rows),
     ):
         known = np.flatnonzero(positions >= 0)

@@ -73,9 +73,8 @@ def hold_ground(
     numbers = np.append(layout.numbers, last + 1 + offset + np.arange(new))
 
     # nobody else holds the new rows, which follow the owned ones
-    def shifted(rows: Numbers) -> Numbers:
-        places: Numbers = np.where(rows >= layout.owned, rows + new, rows)
-        return places
+    places = np.arange(constraints.size)
+    places[layout.owned :] += new
 
     displacements = unknowns.displacements
     ground = np.setdiff1d(np.arange(unknowns.ends[-1]), displacements)
@@ -83,23 +82,19 @@ def hold_ground(
     weights[displacements] = constraints.weights
     weights[ground] = _mean_weights(constraints.weights, unknowns)
     old, ground_rows = constraints.matrix.tocoo(), layout.owned + np.arange(new)
-    rows = np.concatenate([shifted(old.row), ground_rows])
+    rows = np.concatenate([places[old.row], ground_rows])
     columns = np.concatenate([displacements[old.col], ground])
     values = np.concatenate([old.data, np.sqrt(weights[ground])])
     shape = numbers.size, weights.size
-    coupling = replace(constraints.coupling, rows=shifted(constraints.coupling.rows))
-    tied = constraints.tied
-    tied = replace(tied, rows=shifted(tied.rows), own_rows=shifted(tied.own_rows))
     extended = replace(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
-        inequality=shifted(constraints.inequality),
-        own_rows=shifted(constraints.own_rows),
+        contacts=constraints.contacts.moved(places),
+        tied=constraints.tied.moved(places),
         weights=weights,
-        tied=tied,
-        coupling=coupling,
-        friction=constraints.friction.moved(shifted(np.arange(constraints.size))),
+        coupling=replace(constraints.coupling, rows=places[constraints.coupling.rows]),
+        friction=constraints.friction.moved(places),
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))
 

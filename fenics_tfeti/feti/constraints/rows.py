@@ -7,7 +7,7 @@ node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -30,17 +30,33 @@ from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
-class TiedRows:
-    """The equality rows of tied surfaces that this rank holds.
+class SurfaceRows:
+    """The contact rows, or the tied rows, that this rank holds.
 
-    Of the rows given, those that prescribed displacements alone decide or that another row implies
-    are no rows of B.
+    Of the rows given, those that are far away, that prescribed displacements alone decide or that
+    another row implies are no rows of B.
     """
 
-    rows: Numbers  # (t,): local positions, ascending
-    contact: Numbers  # (t,): number of the contact
-    scale: Vector  # (t,): factor, as that of contact rows
-    own_rows: Numbers  # (tied rows that this rank gave,): local positions; -1 for no row of B
+    rows: Numbers  # (k,): local positions, ascending
+    contact: Numbers  # (k,): number of the contact
+    scale: Vector  # (k,): t
+    own_rows: Numbers  # (rows that this rank gave,): local positions; -1 for no row of B
+
+    def forces(self, multipliers: Vector) -> Vector:
+        """Return the force of each row that this rank gave [N]; 0 if it is no row of B.
+
+        It acts on the slave against the row's normal.
+        """
+        # -1 is the last one, zero; a rank may give rows without holding a single row of B
+        force = np.zeros(multipliers.size + 1)
+        force[self.rows] = self.scale * multipliers[self.rows]
+        forces: Vector = force[self.own_rows]
+        return forces
+
+    def moved(self, places: Numbers) -> SurfaceRows:
+        """Return the rows at new local positions, by the old ones."""
+        own_rows = np.append(places, -1)[self.own_rows]
+        return replace(self, rows=places[self.rows], own_rows=own_rows)
 
 
 @dataclass(frozen=True)
@@ -54,17 +70,19 @@ class Constraints:
 
     matrix: sp.csr_matrix  # (m, n): columns of this rank's subdomains, all rows with an entry there
     layout: DualLayout  # global numbers of the rows, and the ranks that share them
-    inequality: Numbers  # (i,): local positions of the inequality rows, ascending
-    contact: Numbers  # (i,): number of the contact
-    scale: Vector  # (i,): t
-    own_rows: Numbers  # (contact rows that this rank gave,): local positions; -1 for no row of B
+    contacts: SurfaceRows  # the inequality rows
+    tied: SurfaceRows  # equality rows
     weights: Vector  # (n,): diagonal of D for this rank's torn displacements
     nodes: int  # distinct nodes over all ranks
     redundant: int  # contact and tied rows dropped because others imply them
     infinite_gaps: int  # contact rows dropped because their gap is infinite
-    tied: TiedRows
     coupling: Coupling  # contact, tied and tangential rows that are not orthogonal to all others
     friction: FrictionRows
+
+    @property
+    def inequality(self) -> Numbers:
+        """Local positions (i,) of the inequality rows, ascending."""
+        return self.contacts.rows
 
     @property
     def size(self) -> int:
@@ -104,7 +122,7 @@ class Constraints:
         """Tell, with one answer on all ranks, whether both number the same rows alike."""
         pairs = (
             (self.layout.numbers, other.layout.numbers),
-            (self.own_rows, other.own_rows),
+            (self.contacts.own_rows, other.contacts.own_rows),
             (self.tied.own_rows, other.tied.own_rows),
             (self.friction.rows, other.friction.rows),
             (self.friction.own, other.friction.own),
@@ -118,7 +136,7 @@ class Constraints:
         same = (
             self.matrix.shape == other.matrix.shape
             and (self.matrix != other.matrix).nnz == 0
-            and np.array_equal(self.contact, other.contact)
+            and np.array_equal(self.contacts.contact, other.contacts.contact)
             and np.array_equal(self.tied.contact, other.tied.contact)
             and np.array_equal(self.friction.contact, other.friction.contact)
         )
@@ -182,7 +200,7 @@ def build_constraints(
 
     own_rows = np.full(kept.size, -1, dtype=np.int64)
     own_rows[kept] = layout.local(given.number[kept])
-    contact_rows = own_rows[: system.contacts.size]
+    contact_rows, tied_rows = own_rows[: system.contacts.size], own_rows[given.tied]
     # each row once
     position, first = np.unique(layout.local(rows.number), return_index=True)
     rows = rows.chosen(first)
@@ -191,15 +209,14 @@ def build_constraints(
     constraints = Constraints(
         matrix,
         layout,
-        inequality=position[pressing],
-        contact=rows.contact[pressing],
-        scale=rows.scale[pressing],
-        own_rows=contact_rows,
+        contacts=SurfaceRows(
+            position[pressing], rows.contact[pressing], rows.scale[pressing], contact_rows
+        ),
+        tied=SurfaceRows(position[tied], rows.contact[tied], rows.scale[tied], tied_rows),
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
         redundant=conditions.redundancy.dropped_total,
         infinite_gaps=conditions.infinite_gaps,
-        tied=TiedRows(position[tied], rows.contact[tied], rows.scale[tied], own_rows[given.tied]),
         coupling=_coupling(layout, conditions),
         friction=_friction_rows(
             system, layout, given, rows, position, contact_rows[system.friction.row]

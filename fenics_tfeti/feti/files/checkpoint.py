@@ -51,7 +51,7 @@ class SavedState:
         return SavedState(
             iterate.multipliers,
             constraints.layout.numbers,
-            constraints.own_rows,
+            constraints.contacts.own_rows,
             constraints.tied.own_rows,
         )
 
@@ -59,7 +59,7 @@ class SavedState:
         """Return the iterate for rows that are numbered alike on all ranks, or None. Collective."""
         pairs = (
             (self.numbers, constraints.layout.numbers),
-            (self.contact_rows, constraints.own_rows),
+            (self.contact_rows, constraints.contacts.own_rows),
             (self.tied_rows, constraints.tied.own_rows),
         )
         same = all(np.array_equal(*pair) for pair in pairs)

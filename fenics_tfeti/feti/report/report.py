@@ -256,15 +256,7 @@ def build_report(
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
-    sums = resultants(
-        system,
-        setup.F,
-        local.kernels,
-        local.unknowns,
-        data.load,
-        candidate.multipliers,
-        candidate.slips,
-    )
+    sums = resultants(system, setup.F, local, data.load, candidate.multipliers, candidate.slips)
     return Report(
         unknowns=_unknowns(system, setup, data, candidate),
         reused=reused,
@@ -292,11 +284,7 @@ def build_report(
         seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
-        contacts=sums.contacts,
-        load=sums.load,
-        reactions=sums.reactions,
-        springs=sums.springs,
-        equilibrium=sums.equilibrium,
+        **vars(sums),
         free_motions=_described(system, setup, candidate.face.free.T.tocsr()),
         weak_motions=_weak_motions(system, setup, candidate),
         certificate=candidate.certificate,
@@ -320,7 +308,7 @@ def _unknowns(
     constraints, comm = setup.constraints, system.comm
     owned = constraints.owned_inequalities
     sites = constraints.friction.owned(constraints.layout.owned)
-    force = constraints.scale * candidate.multipliers[constraints.inequality]
+    force = constraints.contacts.scale * candidate.multipliers[constraints.inequality]
     counts = {
         "torn": data.load.size,
         "inequalities": owned,
@@ -360,7 +348,7 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     constraints, coarse_space = setup.constraints, setup.projector.coarse_space
     _, weak = coarse_space.weakly_resisted(candidate.face.rows, FACETED)
     owned = constraints.inequality[: constraints.owned_inequalities]
-    contact, active = constraints.contact[: owned.size], candidate.face.rows[owned]
+    contact, active = constraints.contacts.contact[: owned.size], candidate.face.rows[owned]
     number = coarse_space.comm.allreduce(int(contact.max(initial=-1)), MPI.MAX) + 1
     descriptions = []
     for z in weak.T.tocsr():

@@ -10,17 +10,16 @@ rows have no entry at prescribed components. Gluing rows add nothing to the sum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
+from fenics_tfeti.feti.solution.setup import LocalSetup
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -106,26 +105,6 @@ class _NodalForces:
         return np.concatenate([forces.sum(axis=0), moment, [_size(forces)]])
 
 
-def normal_forces(constraints: Constraints, multipliers: Vector) -> Vector:
-    """Return the normal force of each contact row that this rank gave [N].
-
-    It is zero for rows that are no rows of B: far away, decided by prescribed displacements, or
-    implied by others.
-    """
-    rows = constraints.inequality
-    return _of_rows(multipliers, rows, constraints.scale, constraints.own_rows)
-
-
-def tied_forces(constraints: Constraints, multipliers: Vector) -> Vector:
-    """Return the force of each tied row that this rank gave [N].
-
-    It acts on the slave against the row's normal. It is zero for rows
-    that are no rows of B: decided by prescribed displacements, or implied by others.
-    """
-    tied = constraints.tied
-    return _of_rows(multipliers, tied.rows, tied.scale, tied.own_rows)
-
-
 def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     """Return the tangential force at each site of friction that this rank gave, (k, gdim - 1) [N].
 
@@ -136,31 +115,20 @@ def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
     return friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
 
 
-def _of_rows(multipliers: Vector, rows: Numbers, scale: Vector, positions: Numbers) -> Vector:
-    """Return the multipliers of the rows that this rank gave, times their scale."""
-    # -1 is the last one, zero; a rank may give rows without holding a single row of B
-    force = np.zeros(multipliers.size + 1)
-    force[rows] = scale * multipliers[rows]
-    forces: Vector = force[positions]
-    return forces
-
-
 def resultants(
     system: TornSystem,
     F: DualOperator,
-    kernels: Sequence[Vector],
-    unknowns: TornUnknowns,
+    local: LocalSetup,
     load: Vector,
     multipliers: Vector,
     slips: Vector,
 ) -> Resultants:
     """Sum up the forces of a solution over all ranks. Collective.
 
-    `kernels` has R_i (n_i, k_i) of this rank's subdomains: one that cannot move rigidly has
-    springs. `load` is f (n,) of these subdomains [N], `slips` are those at the sites of friction,
+    `load` is f (n,) of this rank's subdomains [N], `slips` are those at the sites of friction,
     scaled as the rows.
     """
-    gdim, comm = system.gdim, system.comm
+    gdim, comm, unknowns = system.gdim, system.comm, local.unknowns
     forces = _contact_forces(system, F.constraints, multipliers)
     rows = forces.rows
     x = system.coordinates
@@ -170,7 +138,9 @@ def resultants(
     internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
     loads, supports = (np.where(internal[:, None], 0.0, part) for part in (loads, supports))
 
-    sprung = _with_springs(system, kernels, unknowns)
+    # subdomains that cannot move freely in all directions have springs
+    modes = np.array([kernel.shape[1] for kernel in local.kernels], dtype=np.int64)
+    sprung = system.at_copies(modes - unknowns.grounds < {2: 3, 3: 6}[gdim])
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
     springs = _NodalForces(x[sprung], -(loads + supports)[sprung])
     reactions = _reactions(system, x, supports, rows.nodes, forces.terms)
@@ -259,8 +229,8 @@ def _contact_forces(
     tangential = system.friction.tangential_rows(system.contacts)
     rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
     forces = [
-        normal_forces(constraints, multipliers),
-        tied_forces(constraints, multipliers),
+        constraints.contacts.forces(multipliers),
+        constraints.tied.forces(multipliers),
         tangential_forces(constraints, multipliers).ravel(),
     ]
     factor = -(np.concatenate(forces) / rows.length)[rows.row]
@@ -298,14 +268,6 @@ def _moments(points: Vector, forces: Vector) -> Vector:
     if points.shape[1] == 3:
         return np.cross(points, forces)
     return (points[:, 0] * forces[:, 1] - points[:, 1] * forces[:, 0])[:, None]
-
-
-def _with_springs(
-    system: TornSystem, kernels: Sequence[Vector], unknowns: TornUnknowns
-) -> NDArray[np.bool_]:
-    """Tell which torn nodes are in subdomains that cannot move freely in all directions."""
-    modes = np.array([kernel.shape[1] for kernel in kernels], dtype=np.int64)
-    return system.at_copies(modes - unknowns.grounds < {2: 3, 3: 6}[system.gdim])
 
 
 def _reactions(

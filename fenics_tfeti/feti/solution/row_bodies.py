@@ -46,7 +46,7 @@ class RowBodies:
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
         pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
-        numbers = np.append(constraints.contact, constraints.friction.contact)
+        numbers = np.append(constraints.contacts.contact, constraints.friction.contact)
         contacts = system.comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX) + 1
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
         return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)

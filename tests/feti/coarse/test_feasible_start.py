@@ -30,7 +30,7 @@ def test_contact_forces_add_up_to_the_load():
     solver = TornSolver(column(load=(0, 0, -3.0)))
     constraints = solver.setup.constraints
     multipliers = solver.data.feasible[constraints.inequality]
-    assert np.sum(multipliers * constraints.scale) == pytest.approx(3.0, rel=1e-10)
+    assert np.sum(multipliers * constraints.contacts.scale) == pytest.approx(3.0, rel=1e-10)
 
 
 def test_feasible_start_of_lemma_11_1_has_no_contact_forces():

@@ -51,7 +51,7 @@ def fixed(node: int, *components: int) -> Prescribed:
 def test_the_strictest_of_parallel_rows_stays(first, second, prescribed, stays):
     constraints, c = build_constraints(two_cubes(conditions(first, second), prescribed))
     assert constraints.redundant == 1
-    assert (constraints.own_rows >= 0).tolist() == [stays == 0, stays == 1]
+    assert (constraints.contacts.own_rows >= 0).tolist() == [stays == 0, stays == 1]
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_tied_row_decides_contact_rows_along_it(normal, gap, message):
         return
     constraints, _ = build_constraints(tied(contact, tie))
     assert constraints.redundant == 1
-    assert (constraints.own_rows >= 0).tolist() == [False, True]
+    assert (constraints.contacts.own_rows >= 0).tolist() == [False, True]
     assert constraints.tied.own_rows[0] >= 0
 
 

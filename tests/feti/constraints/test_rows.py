@@ -65,7 +65,7 @@ def test_weights_keep_the_constraints(name):
     system = {**GLUED, **WITH_OTHER_ROWS}[name]
     plain, c = build_constraints(system)
     weighted, weighted_c = build_constraints(system, random_weights(system, 0))
-    factor = weighted.scale / plain.scale
+    factor = weighted.contacts.scale / plain.contacts.scale
     assert np.all(factor > 0.0)
     u = np.linalg.lstsq(plain.matrix.toarray(), c, rcond=None)[0]
     np.testing.assert_allclose(weighted.matrix @ u, weighted_c, rtol=0.0, atol=1e-12)
@@ -105,7 +105,7 @@ def test_contact_row_is_that_of_the_chapter_on_glued_displacements():
     u = np.concatenate(
         [np.tile([0.0, 0.0, float(s.body)], s.nodes.size) for s in system.subdomains]
     )
-    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.scale
+    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.contacts.scale
     np.testing.assert_allclose(jump, -1.0, rtol=1e-14)  # (u_slave - u_master)'n, n downwards
 
 
@@ -115,7 +115,7 @@ def test_prescribed_part_of_a_normal_goes_to_the_gap():
         contacts=one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0),
     )
     constraints, c = build_constraints(system)
-    gap = c[constraints.inequality] / constraints.scale
+    gap = c[constraints.inequality] / constraints.contacts.scale
     np.testing.assert_allclose(gap, 1.0 - 0.6 * 0.5)
 
 
@@ -124,7 +124,7 @@ def test_row_that_prescribed_displacements_decide_is_dropped():
         prescribed=Prescribed(np.array([CENTRE]), np.array([2]), np.array([0.1])),
         contacts=one_row(CENTRE, (0, 0, 1), gap=0.2),
     )
-    assert build_constraints(system)[0].own_rows.tolist() == [-1]
+    assert build_constraints(system)[0].contacts.own_rows.tolist() == [-1]
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def both_sides(values, gap: float, size: float = 1.0) -> TornSystem:
 )
 def test_rounding_of_prescribed_displacements_violates_nothing(system):
     constraints, _ = build_constraints(system)
-    assert np.count_nonzero(constraints.own_rows < 0) == 1
+    assert np.count_nonzero(constraints.contacts.own_rows < 0) == 1
 
 
 @pytest.mark.parametrize(
@@ -237,8 +237,8 @@ def test_infinite_gaps_are_no_rows():
     gap = np.where(np.arange(16) % 3 == 0, np.inf, 0.1)
     constraints, c = build_constraints(with_gaps(gap))
     assert constraints.infinite_gaps == 6
-    np.testing.assert_array_equal(constraints.own_rows < 0, np.isinf(gap))
-    np.testing.assert_allclose(c[constraints.inequality] / constraints.scale, 0.1)
+    np.testing.assert_array_equal(constraints.contacts.own_rows < 0, np.isinf(gap))
+    np.testing.assert_allclose(c[constraints.inequality] / constraints.contacts.scale, 0.1)
 
 
 def test_infinite_gap_of_a_row_that_prescribed_displacements_decide():
@@ -292,7 +292,12 @@ def test_jumps_of_random_rows_are_distances():
     u = np.concatenate([[value[n] for n in s.nodes] for s in system.subdomains]).ravel()
     jump = constraints.matrix @ u
     for rows, own, held, scale in (
-        (system.contacts, constraints.own_rows, constraints.inequality, constraints.scale),
+        (
+            system.contacts,
+            constraints.contacts.own_rows,
+            constraints.inequality,
+            constraints.contacts.scale,
+        ),
         (system.tied, constraints.tied.own_rows, constraints.tied.rows, constraints.tied.scale),
     ):
         terms = np.sum(rows.coefficients * [value[n] for n in rows.nodes], axis=1)

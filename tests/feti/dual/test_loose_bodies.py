@@ -76,7 +76,8 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     face = Face.build(problem, contact_state, Projector.build(coarse_space, none))
     assert face.loose is not None
     settled = face.loose.at_least_penetration(problem.c)
-    penetration = np.where(problem.constraints.contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
+    contact = problem.constraints.contacts.contact
+    penetration = np.where(contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
     squeezing = np.zeros_like(settled)
     squeezing[rows] = penetration
     assert np.count_nonzero(penetration) == len(SHIFTS) * len(WALLS) * 9
@@ -101,7 +102,7 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     solver = TornSolver(with_loose_cubes(0.1, SHIFTS))
     problem = solver.dual_problem()
     rows, size = problem.constraints.inequality, problem.d.size
-    contact = problem.constraints.contact
+    contact = problem.constraints.contacts.contact
     active = np.zeros(rows.size, dtype=bool)
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True
