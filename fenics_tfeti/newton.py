@@ -128,11 +128,12 @@ class LoadStep:
         multipliers: Multipliers | SlaveValues,
         scale: ForceScale,
         bodies: RigidBodies,
+        last: DeformedRows | None = None,
     ) -> NewtonState:
         """Fill u, and measure surfaces and residual there. Collective.
 
-        Multipliers may be normal forces (k,) [N]. The bodies are where they were
-        before the last step.
+        Multipliers may be normal forces (k,) [N]. The bodies, and the last rows, are those before
+        the last step.
         """
         size = self.torn.nodes.owned * self.torn.nodes.components
         fill_owned(self.u, displacement[:size])
@@ -143,7 +144,7 @@ class LoadStep:
         ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
         if not ratio > 0.0:
             raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
-        rows = DeformedRows.of(self.torn.undeformed, self.u, bodies, self.origin)
+        rows = DeformedRows.of(self.torn.undeformed, self.u, bodies, self.origin, last)
         if not isinstance(multipliers, Multipliers):
             multipliers = Multipliers.from_forces(rows, multipliers)
         internal = self.torn.internal_force()
@@ -226,7 +227,7 @@ class NewtonIteration:
         limit = self._options.newton_step_limit
         length = 1.0 if size <= limit else limit / size
         mixed = self._mixed(state, step) if length == 1.0 else None
-        new, length = self._shortened(mixed or step, multipliers, length, bodies)
+        new, length = self._shortened(mixed or step, multipliers, length, state.rows)
         self.steps.append(
             NewtonStep(
                 new.equilibrium.residual,
@@ -286,14 +287,16 @@ class NewtonIteration:
         return self._mixing.mix(step)
 
     def _shortened(
-        self, step: Iterate, multipliers: Multipliers, length: float, bodies: RigidBodies
+        self, step: Iterate, multipliers: Multipliers, length: float, last: DeformedRows
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
         while True:
             try:
                 displacement = step.displacement + length * step.increment
                 new = multipliers.from_flat(step.multipliers)
-                return self._load_step.state_at(displacement, new, self._scale, bodies), length
+                bodies = last.conditions.bodies
+                state = self._load_step.state_at(displacement, new, self._scale, bodies, last)
+                return state, length
             except (InputError, NotConverged) as error:
                 length *= 0.5
                 if length < _SHORTEST:

@@ -6,12 +6,19 @@ with an active set and sparse LU of the whole tangent.
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 import scipy.integrate
-from finite_strains import SLIDER, TOP, beam, ironing, ring
+from finite_strains import SLIDER, TOP, beam, clamped, ironing, ring
 
-from fenics_tfeti import Coulomb
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactPair, Coulomb, NonlinearContactProblem
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti.models import neo_hookean
 
 heavy = pytest.mark.heavy
 
@@ -85,3 +92,39 @@ def test_counts_of_the_ring():
     scene.solve([1.0])
     steps, products = scene.counts()
     assert steps <= 10 and products <= 25
+
+
+@pytest.mark.ranks
+def test_edge_of_a_master_that_passes_nodes_of_the_slave():
+    """A block dragged over a larger one: the roles of the surfaces hardly matter."""
+    forces = []
+    for slave, master in ((3, 2), (2, 3)):
+        tagged = boxes(
+            MPI.COMM_WORLD,
+            [Box((0, 0), (2, 1), (8, 4)), Box((0.3, 1), (1.2, 1.6), (5, 3))],
+            "quadrilateral",
+        )
+        surfaces = [
+            (1, lambda x: np.isclose(x[1], 0), 1),
+            (2, lambda x: np.isclose(x[1], 1), 1),
+            (3, lambda x: np.isclose(x[1], 1), 2),
+            (4, lambda x: np.isclose(x[1], 1.6), 2),
+        ]
+        tags = tag_facets(tagged.mesh, surfaces, tagged.cell_tags)
+        V = displacement_space(tagged.mesh)
+        u, motion = fem.Function(V), fem.Function(V)
+        moved = fem.locate_dofs_topological(V, 1, tags.find(4))
+        problem = NonlinearContactProblem(
+            ufl.derivative(neo_hookean(1.0, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V)),
+            u,
+            bcs=[clamped(V, tags.find(1)), fem.dirichletbc(motion, moved)],
+            contacts=[ContactPair(tags, slave=slave, master=master)],
+        )
+        for way, depth in [(0.0, 0.06), *((0.05 * k, 0.12) for k in range(6))]:
+            motion.x.array.reshape(-1, 2)[:] = way, -depth
+            problem.solve()
+            problem.advance()
+            # a node that got and lost its condition in turn took all 30 steps
+            assert len(problem.report.newton) <= 10
+        forces.append(abs(problem.results[0].force[1]))
+    assert forces[0] == pytest.approx(forces[1], rel=0.02)

@@ -264,16 +264,17 @@ class ContactSet:
         return self.bodies.motions_after(of_bodies, self.from_here)
 
     def deformed(
-        self, uh: Function, bodies: RigidBodies | None = None
+        self, uh: Function, bodies: RigidBodies | None = None, last: ContactSet | None = None
     ) -> tuple[ContactSet, list[DeformedContact]]:
         """Return the conditions of the deformed surfaces, and what was measured. Collective.
 
-        The rigid bodies are by default where they were. Friction is still that at the conditions
-        before, see `with_friction`.
+        The rigid bodies are by default where they were. Partners and nodes with conditions stay
+        near those of the `last` set for the same contacts, by default this one. Friction is still
+        that at the conditions before, see `with_friction`.
         """
         bodies, measured, contacts = bodies or self.bodies, [], []
-        for found in self.contacts:
-            new = found.measured(uh, bodies)
+        for found, earlier in zip(self.contacts, (last or self).contacts, strict=True):
+            new = replace(found, pairing=earlier.pairing).measured(uh, bodies)
             measured.append(new)
             found = replace(found, pairing=new.pairing)
             if found.body is not None:

@@ -164,7 +164,7 @@ def _deformed_mortar(
         deformed = replace(deformed, normal=normal)
     facets = deformed.oriented_part(displacement)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(surface, facets, master, shared, prescribed)
+    conditions = mortar_conditions(surface, facets, master, shared, prescribed, pairing.slave)
     check_covered(conditions, surface, [name])
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(

@@ -158,7 +158,8 @@ def _match_by_mortar(
         normal = normals_in_symmetry_planes(slave, prescribed)
     facets = replace(slave, normal=normal).oriented_part()
     check_folds(slave.boundary.nodes, facets, names)
-    conditions = mortar_conditions(slave, facets, master, shared, prescribed)
+    none = np.zeros(0, dtype=np.int64)
+    conditions = mortar_conditions(slave, facets, master, shared, prescribed, none)
     check_covered(conditions, slave, names)
     rows = np.searchsorted(slave.nodes, conditions.terms.slave)
     contact = slave.contact[rows]

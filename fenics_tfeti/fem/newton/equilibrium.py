@@ -38,10 +38,18 @@ class DeformedRows:
 
     @staticmethod
     def of(
-        undeformed: ContactSet, uh: Function, bodies: RigidBodies, origin: SlipOrigin
+        undeformed: ContactSet,
+        uh: Function,
+        bodies: RigidBodies,
+        origin: SlipOrigin,
+        last: DeformedRows | None,
     ) -> DeformedRows:
-        """Measure the surfaces deformed by a displacement; slip is from the origin. Collective."""
-        conditions = undeformed.deformed(uh, bodies)[0].with_friction()
+        """Measure the surfaces deformed by a displacement, near the last ones. Collective.
+
+        Slip is from the origin.
+        """
+        before = None if last is None else last.conditions
+        conditions = undeformed.deformed(uh, bodies, before)[0].with_friction()
         conditions = replace(conditions.with_turned_bolts(uh), from_here=True)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()

@@ -17,6 +17,7 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
 from fenics_tfeti.fem.contact.mortar.matrices import (
     BARELY_COVERED,
+    HARDLY_COVERED,
     mortar_matrices,
     multiplier_shares,
     node_areas,
@@ -52,18 +53,25 @@ class MortarConditions:
 
 
 def mortar_conditions(
-    surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, shared: Numbers, prescribed: Mask
+    surface: Surface,
+    slave: SurfaceFacets,
+    master: SurfaceFacets,
+    shared: Numbers,
+    prescribed: Mask,
+    before: Numbers,
 ) -> MortarConditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
     The slave's facets are those of this rank, of the master those near them. No condition have
     nodes of both surfaces, `shared`, and those that their supports hold along the normal, see
-    `_held_by_supports`.
+    `_held_by_supports`. Nodes of this rank that had conditions `before` keep them longer than
+    others.
     """
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
     along = np.abs(slave.normal) > RELATIVE_ROUNDING
     held = (_held_by_supports(surface, slave, prescribed) | ~along).all(axis=1)
-    return _conditions(surface, slave, master, integrals, held | np.isin(slave.nodes, shared))
+    free = held | np.isin(slave.nodes, shared)
+    return _conditions(surface, slave, master, integrals, free, before)
 
 
 def tied_conditions(
@@ -78,7 +86,8 @@ def tied_conditions(
     free = _held_by_supports(surface, slave, prescribed)
     # of degree 2 the solution is more exact with the shape functions as multipliers
     dual = slave.facets.per_facet == 1
-    return [_conditions(surface, slave, master, integrals, held, dual) for held in free.T]
+    none = np.zeros(0, dtype=np.int64)
+    return [_conditions(surface, slave, master, integrals, held, none, dual) for held in free.T]
 
 
 def _held_by_supports(surface: Surface, slave: SurfaceFacets, prescribed: Mask) -> Mask:
@@ -119,6 +128,7 @@ def _conditions(
     master: SurfaceFacets,
     integrals: FacetIntegrals,
     free: Mask,
+    before: Numbers,
     dual: bool = True,
 ) -> MortarConditions:
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
@@ -127,7 +137,7 @@ def _conditions(
     areas = all_nodes.sum_at_owners(
         slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
     )
-    sharing = SharedMultipliers.of(all_nodes, slave, integrals, areas, free)
+    sharing = SharedMultipliers.of(all_nodes, slave, integrals, areas, free, before)
     D, M = matrices.D.tocoo(), matrices.M.tocoo()
     row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
     terms = collect_terms(
@@ -178,12 +188,17 @@ class SharedMultipliers:
         integrals: FacetIntegrals,
         areas: Vector,
         free: Mask,
+        before: Numbers,
     ) -> SharedMultipliers:
         """Find the nodes that have no multiplier, and their neighbours. Collective.
 
         The areas (owned, 2) are the whole and covered ones of the nodes that this rank owns. The
-        nodes of `free` (n,), alike on all ranks, must not have a multiplier.
+        nodes of `free` (n,), alike on all ranks, must not have a multiplier; those of this rank
+        that had one `before` keep it longer.
         """
+        limits = np.full(len(areas), BARELY_COVERED)
+        limits[before - all_nodes.first] = HARDLY_COVERED
+        least = all_nodes.values_at(limits, slave.nodes)
         full, covered = all_nodes.values_at(areas, slave.nodes).T
         # of degree 2, nodes that are no vertices have no area
         coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
@@ -192,21 +207,22 @@ class SharedMultipliers:
             corners[:, ends].ravel()
             for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
         )
-        excluded = free[j] | (coverage[j] < BARELY_COVERED)
+        excluded = free[j] | (coverage[j] < least[j])
         j, k = j[excluded], k[excluded]
-        # each pair with the coverage of its nodes, which all ranks have summed alike
+        # each pair with the values of its nodes, which are alike on all ranks
         columns = concatenate_buffers(
             all_nodes.comm,
-            *(column[rows] for column in (slave.nodes, coverage, free) for rows in (j, k)),
+            *(column[rows] for column in (slave.nodes, coverage, least, free) for rows in (j, k)),
         )
         first_node, second_node, *values = columns
         nodes, first, inverse = np.unique(
             np.concatenate([first_node, second_node]), return_index=True, return_inverse=True
         )
-        coverage = np.concatenate(values[:2])[first]
-        free = np.concatenate(values[2:])[first]
+        coverage, least, free = (
+            np.concatenate(values[k : k + 2])[first] for k in range(0, len(values), 2)
+        )
         pairs = inverse.reshape(2, -1).T
-        return SharedMultipliers(nodes, multiplier_shares(coverage, free, pairs))
+        return SharedMultipliers(nodes, multiplier_shares(coverage, least, free, pairs))
 
     def rows(self, nodes: Numbers) -> tuple[Numbers, Numbers, Vector]:
         """Return the nodes whose conditions take the terms of some nodes (t,), in any order.

@@ -33,9 +33,11 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # Coverage of a node: the integral of its shape function over the covered part, relative to that
 # over all of its facets. Below the first it has no multiplier where neighbours are covered better:
-# half is what the border of a master leaves of an edge that goes through a node. Below the second
-# it has none in any case: its force is negligible.
-BARELY_COVERED, SLIVER_COVERED = 0.4, 1e-2
+# half is what the border of a master leaves of an edge that goes through a node. A node that had a
+# multiplier before keeps it down to the second, since multipliers that come and go with small
+# changes of the surfaces would alternate. Below the third it has none in any case: its force is
+# negligible.
+BARELY_COVERED, HARDLY_COVERED, SLIVER_COVERED = 0.4, 0.2, 1e-2
 
 # Entries of a matrix that are rounding, relative to the largest of their row. Without them, a node
 # of flat surfaces with matching meshes is coupled with the one opposite alone.
@@ -89,16 +91,17 @@ def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
     return _assemble(slave_products, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
-def multiplier_shares(coverage: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
+def multiplier_shares(coverage: Vector, least: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
     """Return the shares (n, n) of nodes in the dual functions of others.
 
     Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
-    empty where no node around has a multiplier. Nodes have the coverage (n,), and no multiplier
-    where they are `free`; pairs (p, 2) are corners of one covered facet, in both orders.
+    empty where no node around has a multiplier. Nodes have the coverage (n,), the `least` one with
+    which they keep their function, and no multiplier where they are `free`; pairs (p, 2) are
+    corners of one covered facet, in both orders.
     """
     j, k = pairs.T
     better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
-    takes = ~free[k] & (free[j] | (coverage[j] < BARELY_COVERED) & better)
+    takes = ~free[k] & (free[j] | (coverage[j] < least[j]) & better)
     size = (coverage.size, coverage.size)
     links = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
     links.data[:] = 1.0

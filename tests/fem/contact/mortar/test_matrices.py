@@ -12,6 +12,8 @@ from facet_grids import chain, grid
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
+    BARELY_COVERED,
+    HARDLY_COVERED,
     MortarMatrices,
     mortar_matrices,
     multiplier_shares,
@@ -34,7 +36,10 @@ def shares_of(slave, integrals):
     corners = slave.corners[integrals.facet]
     pairs = [corners[:, [j, k]] for j, k in permutations(range(corners.shape[1]), 2)]
     return multiplier_shares(
-        covered / whole, np.zeros(whole.size, dtype=bool), np.concatenate(pairs)
+        covered / whole,
+        np.full(whole.size, BARELY_COVERED),
+        np.zeros(whole.size, dtype=bool),
+        np.concatenate(pairs),
     )
 
 
@@ -112,7 +117,9 @@ def test_barely_covered_nodes_share_out_their_functions():
     coverage = np.array([0.1, 0.3, 0.9, 1.0, 0.39])
     edges = np.array([[0, 1], [1, 2], [1, 3], [2, 3], [3, 4]])
     pairs = np.concatenate([edges, edges[:, ::-1]])
-    shares = multiplier_shares(coverage, np.zeros(5, dtype=bool), pairs).toarray()
+    shares = multiplier_shares(
+        coverage, np.full(5, BARELY_COVERED), np.zeros(5, dtype=bool), pairs
+    ).toarray()
     assert shares[:, 0].tolist() == shares[:, 1].tolist() == [0.0, 0.0, 0.5, 0.5, 0.0]
     assert shares[:, 2:4].tolist() == np.eye(5)[:, 2:4].tolist()
     assert shares[:, 4].tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
@@ -122,14 +129,16 @@ def test_barely_covered_nodes_without_better_neighbours_keep_their_functions():
     """Of a small foot inside of one facet; those of the same coverage do not give to each other."""
     coverage = np.array([0.1, 0.1, 0.05])
     pairs = np.array(list(permutations(range(3), 2)))
-    shares = multiplier_shares(coverage, np.zeros(3, dtype=bool), pairs).toarray()
+    shares = multiplier_shares(
+        coverage, np.full(3, BARELY_COVERED), np.zeros(3, dtype=bool), pairs
+    ).toarray()
     assert shares.tolist() == [[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 0.0]]
 
 
 def test_nodes_that_must_not_have_a_multiplier_give_theirs_to_all_others():
     coverage, free = np.array([1.0, 0.5, 0.2]), np.array([True, False, False])
     pairs = np.array(list(permutations(range(3), 2)))
-    shares = multiplier_shares(coverage, free, pairs).toarray()
+    shares = multiplier_shares(coverage, np.full(3, BARELY_COVERED), free, pairs).toarray()
     assert shares.tolist() == [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
@@ -170,3 +179,12 @@ def test_many_facets(corners):
     assert rows.all()
     check_identities(slave, master, matrices, rows)
     assert np.isclose(matrices.area.sum(), 1.0)
+
+
+def test_nodes_that_had_a_multiplier_keep_it_longer():
+    coverage, free = np.array([0.3, 0.9]), np.zeros(2, dtype=bool)
+    pairs = np.array([[0, 1], [1, 0]])
+    for least, kept in ((HARDLY_COVERED, 1.0), (BARELY_COVERED, 0.0)):
+        limits = np.array([least, BARELY_COVERED])
+        shares = multiplier_shares(coverage, limits, free, pairs).toarray()
+        assert shares.tolist() == [[kept, 0.0], [1.0 - kept, 1.0]]
