@@ -28,8 +28,6 @@ from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.qp import Bounds, FrictionCones, ProductSet, least_norm, smallest_factor
 from fenics_tfeti.typing import Numbers, Vector
 
-# ||B R z|| of equality rows below which contact takes the load first
-_SOFTLY = 0.1
 # motions of a group up to which dense matrices take no longer than sparse ones
 _DENSE = 200
 
@@ -58,7 +56,7 @@ def feasible_start(
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    free, weak = coarse_space.weakly_resisted(constraints.equality, _SOFTLY)
+    free, weak = coarse_space.softly_supported
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.coefficients(c))
         gaps = unit * (c - prescribed)[constraints.inequality]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 from mpi4py import MPI
@@ -32,6 +33,9 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+# ||B R z|| of equality rows below which a motion is softly supported: contact takes the load first
+_SOFTLY = 0.1
 
 
 @dataclass(frozen=True)
@@ -211,6 +215,11 @@ class CoarseSpace:
         )
         free = resistance <= unresisted
         return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
+
+    @cached_property
+    def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """The motions of bodies that equality rows resist not at all, and softly: (z, z)."""
+        return self.weakly_resisted(self.constraints.equality, _SOFTLY)
 
     def coarse_motions(self, z: Any) -> Any:
         """Return the coarse vectors of motions z of bodies, sparse if these are."""

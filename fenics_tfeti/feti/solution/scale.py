@@ -27,7 +27,7 @@ class FeasibleState:
 
     jumps: Vector  # (m,) scaled as the rows
     strain: float  # f'K^+f of the forces f - B'lambda~ [J]
-    largest_jump: float  # largest |jump| and |prescribed displacement|, over all ranks
+    largest_jump: float  # largest |jump|, |prescribed displacement| and penetration, over all ranks
 
     @staticmethod
     def of(setup: DualSetup, data: ContactData) -> FeasibleState:
@@ -38,7 +38,12 @@ class FeasibleState:
         jumps = F.jumps(strained)
         strain = float(comm.allreduce(max(0.0, float(strained @ forces))))
         prescribed = data.c[setup.constraints.equality]
-        largest = max(np.abs(jumps).max(initial=0.0), np.abs(prescribed).max(initial=0.0))
+        penetrated = -data.c[setup.constraints.inequality]
+        largest = max(
+            np.abs(jumps).max(initial=0.0),
+            np.abs(prescribed).max(initial=0.0),
+            penetrated.max(initial=0.0),
+        )
         return FeasibleState(jumps, strain, float(comm.allreduce(float(largest), MPI.MAX)))
 
 

@@ -47,3 +47,14 @@ def test_rounding_counts_prescribed_jumps():
     moved = scale_of(TornSolver(replace(system, prescribed=far)))
     assert moved.rounding_at(0.0) >= 1e6 * np.finfo(float).eps
     assert moved.rounding_at(moved.closing) == pytest.approx(2.0 * moved.rounding_at(0.0))
+
+
+def test_largest_jump_counts_penetration():
+    """Of bodies that a prescribed motion presses together, nothing has moved yet at the start."""
+    system = column(n=2, load=(0, 0, 0))
+    pressed = replace(system.contacts, gap=system.contacts.gap - 0.25)
+    solver = TornSolver(replace(system, contacts=pressed))
+    data = replace(solver.data, feasible=np.zeros_like(solver.data.feasible))
+    largest = FeasibleState.of(solver.setup, data).largest_jump
+    scale = solver.setup.constraints.scale.max()
+    assert largest == pytest.approx(0.25 * scale)
