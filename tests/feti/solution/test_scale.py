@@ -56,5 +56,5 @@ def test_largest_jump_counts_penetration():
     solver = TornSolver(replace(system, contacts=pressed))
     data = replace(solver.data, feasible=np.zeros_like(solver.data.feasible))
     largest = FeasibleState.of(solver.setup, data).largest_jump
-    scale = solver.setup.constraints.scale.max()
+    scale = solver.setup.constraints.contacts.scale.max()
     assert largest == pytest.approx(0.25 * scale)
