@@ -122,6 +122,8 @@ def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
     input_cells = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
     _, cell_tag, tags_of_facets = directory.lookup(input_cells, *columns)
     facets = cell_facets(mesh)
+    # `locate_dofs_topological` of tagged facets needs it, from dolfinx 0.9 on
+    mesh.topology.create_connectivity(dim - 1, dim)
     facet_map = mesh.topology.index_map(dim - 1)
     facet_tag = np.full(facet_map.size_local + facet_map.num_ghosts, NO_TAG, dtype=np.int64)
     facet_tag[facets] = tags_of_facets
