@@ -168,7 +168,9 @@ class NewtonIteration:
         self._load_step, self._options, self._timer = load_step, options, timer
         self.solver = last
         self.steps: list[NewtonStep] = []
-        self._mixing = AndersonMixing(load_step.torn.nodes.comm, options.newton_anderson)
+        self._mixing = AndersonMixing(
+            load_step.torn.nodes.comm, options.newton_anderson, options.solver.rtol
+        )
         self._increment = Function(load_step.torn.space)
         self._scale = ForceScale()
         # nodes whose contact changed in the last step, and also in the one before

@@ -20,7 +20,7 @@ def test_as_many_mixed_steps_as_unknowns_end_at_the_fixed_point(n):
         end = fixed + iteration @ (x - fixed)
         return Iterate(x, end - x, of_multipliers @ end)
 
-    mixing, x = AndersonMixing(MPI.COMM_SELF, n), np.zeros(n)
+    mixing, x = AndersonMixing(MPI.COMM_SELF, n, accuracy=1e-12), np.zeros(n)
     for _ in range(2):
         first = step(x)
         assert mixing.mix(first) is None
@@ -32,3 +32,14 @@ def test_as_many_mixed_steps_as_unknowns_end_at_the_fixed_point(n):
         np.testing.assert_allclose(mixed.multipliers, of_multipliers @ fixed, rtol=1e-9)
         mixing.forget()
         x = rng.standard_normal(n)
+
+
+@pytest.mark.parametrize(("accuracy", "is_fitted"), [(1e-3, False), (1e-12, True)])
+def test_errors_of_steps_are_not_fitted(accuracy, is_fitted):
+    """The differences are along the first axis but for 1e-5; 1e-2 along the second is in all."""
+    increments = np.array([[1.0, 1e-2], [0.5, 1e-2 + 1e-5], [0.25, 1e-2]])
+    mixing, x = AndersonMixing(MPI.COMM_SELF, 2, accuracy), np.zeros(2)
+    for increment in increments:
+        mixed = mixing.mix(Iterate(x, increment, np.zeros(0)))
+        x = x + increment
+    assert (np.linalg.norm(mixed.increment) > 1.0) == is_fitted

@@ -11,9 +11,6 @@ import numpy as np
 
 from fenics_tfeti.typing import Vector
 
-# relative size of singular values of the differences of steps that count as zero
-_DEPENDENT = 1e-10
-
 
 @dataclass(frozen=True)
 class Iterate:
@@ -25,10 +22,14 @@ class Iterate:
 
 
 class AndersonMixing:
-    """The last few steps with the same pressing nodes, combined for the smallest next step."""
+    """The last few steps with the same pressing nodes, combined for the smallest next step.
 
-    def __init__(self, comm: MPI.Intracomm, depth: int) -> None:
-        self._comm = comm
+    Increments have a relative accuracy. Differences that depend on each other up to that would have
+    large coefficients, which the errors of the increments determine.
+    """
+
+    def __init__(self, comm: MPI.Intracomm, depth: int, accuracy: float) -> None:
+        self._comm, self._accuracy = comm, accuracy
         self._last: deque[Iterate] = deque(maxlen=depth + 1)
 
     def forget(self) -> None:
@@ -56,7 +57,10 @@ class AndersonMixing:
         """Return the least squares solution for rows on all ranks. Collective."""
         triangle = np.linalg.qr(np.column_stack([A, b]), mode="r")
         rows = np.concatenate(self._comm.allgather(triangle))
-        solution: Vector = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=_DEPENDENT)[0]
+        A, b = rows[:, :-1], rows[:, -1]
+        size = np.linalg.norm(A, axis=0)
+        size[size == 0.0] = 1.0
+        solution: Vector = np.linalg.lstsq(A / size, b, rcond=self._accuracy)[0] / size
         return solution
 
 
