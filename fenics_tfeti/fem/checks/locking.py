@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
+from fenics_tfeti.fem.decomposition.forms import flat_rows
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature, shape_gradients
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
@@ -68,8 +69,8 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
         groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in np.unique(form.tags["cell"])]
     selected = [group[:: max(1, -(-group.size // _CELLS))] for group in groups]
     for values in form.cell_data():
-        if values.dtype.kind == "f" and len(values):
-            rows = values[: bodies.of_cell.size].reshape(bodies.of_cell.size, -1)
+        if values.dtype.kind == "f" and bodies.of_cell.size:
+            rows = flat_rows(values[: bodies.of_cell.size])
             selected += [rows.argmin(axis=0), rows.argmax(axis=0)]
     cells: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
     return cells

@@ -70,8 +70,7 @@ class PreparedForm:
         n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
         tensors = np.zeros((cells.size, *(n,) * len(self.form.arguments())))
         values = [_values_of_cells(w, cells) for w in self.compiled.coefficients]
-        flat = [v.reshape(cells.size, -1) for v in values]
-        coefficients = np.hstack([np.zeros((cells.size, 0)), *flat])
+        coefficients = np.hstack([np.zeros((cells.size, 0)), *map(flat_rows, values)])
         domain = space.mesh
         coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
         for kind, tag, kernel in self.compiled.integrals:
@@ -239,6 +238,11 @@ def _check_used(domain: Mesh, present: Numbers, ids: list[int], which: str) -> N
             f"{which}({missing[0]}), but tag {missing[0]} is on no {on}; the tags there are "
             f"{present.tolist()}"
         )
+
+
+def flat_rows(values: Vector) -> Vector:
+    """Return values (m, ...) as (m, n), also of no cells."""
+    return values.reshape(len(values), int(np.prod(values.shape[1:])))
 
 
 def _values_of_cells(function: Function, cells: Indices | slice = slice(None)) -> Vector:
