@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
-from fenics_tfeti.fem.decomposition.forms import flat_rows
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.decomposition.forms import flat_rows
 from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature, shape_gradients
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
