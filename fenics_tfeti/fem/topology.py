@@ -1,4 +1,4 @@
-"""Cells and facets of a distributed mesh: cell type, numbering, exterior facets."""
+"""Cells and facets of a mesh: cell type, numbering, tables of their nodes, exterior facets."""
 
 from __future__ import annotations
 
@@ -138,3 +138,14 @@ def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
         cell_facets(domain)[: owned_cells(domain)]
     ]
     return exterior
+
+
+def distinct_rows(rows: Numbers) -> tuple[Numbers, Numbers]:
+    """Return the distinct rows (n, k), sorted, and where each row is; faster than NumPy's."""
+    order = np.lexsort(rows.T[::-1])
+    ascending = rows[order]
+    is_new = np.ones(len(rows), dtype=bool)
+    is_new[1:] = (ascending[1:] != ascending[:-1]).any(axis=1)
+    inverse = np.zeros(len(rows), dtype=np.int64)
+    inverse[order] = np.cumsum(is_new) - 1
+    return ascending[is_new], inverse

@@ -32,7 +32,12 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.topology import batches, cell_facets, exterior_cell_facets
+from fenics_tfeti.fem.topology import (
+    batches,
+    cell_facets,
+    distinct_rows,
+    exterior_cell_facets,
+)
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.parallel import (
     Directory,
@@ -201,7 +206,7 @@ def _is_apart(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Mask:
     """Tell which rows are of bodies that are not glued; warn of those that are. Collective."""
     first, second = bodies.part[opposite[:, :2]].T
     glued = first == second
-    pairs = _distinct(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)))[0]
+    pairs = distinct_rows(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)))[0]
     with raise_collectively(comm):
         if len(pairs) and comm.rank == 0:
             names = " and ".join(bodies.names[body] for body in pairs[0])
@@ -224,10 +229,10 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, ratio: Vector) -> Mas
     is_lower = opposite[:, 0] < opposite[:, 1]
     ratios = np.where(is_lower, [ratio, 1.0 / ratio], [1.0 / ratio, ratio])
     values = np.column_stack([*ratios, is_lower, ~is_lower])
-    pairs, inverse = _distinct(np.sort(opposite[:, :2], axis=1))
+    pairs, inverse = distinct_rows(np.sort(opposite[:, :2], axis=1))
     largest = np.zeros((len(pairs), 4))
     np.maximum.at(largest, inverse, values)
-    every, inverse_of = _distinct(concatenate_ranks(comm, pairs))
+    every, inverse_of = distinct_rows(concatenate_ranks(comm, pairs))
     of_all = np.zeros((len(every), 4))
     np.maximum.at(of_all, inverse_of, concatenate_ranks(comm, largest))
     as_lower, as_higher, lower_is_near, higher_is_near = of_all.T
@@ -247,7 +252,7 @@ def _surfaces(
     The keys, alike on all ranks, are the bodies of slave and master and the side of the slave.
     """
     face = facets.faces(comm)
-    slaves = _distinct(opposite[:, :3])[0]
+    slaves = distinct_rows(opposite[:, :3])[0]
     if whole_faces:
         slaves = _extended(comm, slaves, face)
     side_of = _sides(comm, slaves, facets, face)
@@ -257,24 +262,24 @@ def _surfaces(
         if not side_of:
             faces[:, 2] = 0
             return faces
-        distinct, inverse = _distinct(faces)
+        distinct, inverse = distinct_rows(faces)
         distinct[:, 2] = [side_of.get((a, b, number), 0) for a, b, number in distinct.tolist()]
         return distinct[inverse]
 
     slaves = np.column_stack([keys(slaves), slaves[:, 2]])
-    masters = _distinct(np.column_stack([keys(opposite[:, :3]), opposite[:, 3]]))[0]
+    masters = distinct_rows(np.column_stack([keys(opposite[:, :3]), opposite[:, 3]]))[0]
     masters = _sent_to_owners(comm, masters, facets.number.size)
     if whole_faces:
         masters = _extended(comm, masters, face)
-    pairs = _distinct(concatenate_ranks(comm, _distinct(slaves[:, :3])[0]))[0]
+    pairs = distinct_rows(concatenate_ranks(comm, distinct_rows(slaves[:, :3])[0]))[0]
     parts = [_split(rows, pairs) for rows in (slaves, masters)]
     return dict(zip(map(tuple, pairs.tolist()), zip(*parts, strict=True), strict=True))
 
 
 def _extended(comm: MPI.Intracomm, rows: Numbers, face: Numbers) -> Numbers:
     """Return rows (n, k) of a pair and a facet with all facets of their faces. Collective."""
-    whole = _distinct(np.column_stack([rows[:, :-1], face[rows[:, -1]]]))[0]
-    whole = _distinct(concatenate_ranks(comm, whole))[0]
+    whole = distinct_rows(np.column_stack([rows[:, :-1], face[rows[:, -1]]]))[0]
+    whole = distinct_rows(concatenate_ranks(comm, whole))[0]
     order = np.argsort(face, kind="stable")
     begin, end = (np.searchsorted(face[order], whole[:, -1], side) for side in ("left", "right"))
     number = end - begin
@@ -296,7 +301,7 @@ def _sides(
     vertices = facets.vertices[facet]
     directory = Directory(comm, np.unique(vertices))
     vertex, rows = directory.collect(vertices.ravel(), np.repeat(faces, vertices.shape[1], axis=0))
-    rows = _distinct(np.column_stack([rows[:, :2], vertex, rows[:, 2]]))[0]
+    rows = distinct_rows(np.column_stack([rows[:, :2], vertex, rows[:, 2]]))[0]
     meetings = [np.zeros((0, 4), dtype=np.int64)]
     for step in range(1, len(rows)):
         meet = (rows[step:, :3] == rows[:-step, :3]).all(axis=1)
@@ -337,12 +342,12 @@ def _sent_to_owners(comm: MPI.Intracomm, rows: Numbers, owned: int) -> Numbers:
     rank = np.searchsorted(firsts, rows[:, -1], "right") - 1
     arrived = np.concatenate(all_to_all(comm, [rows[rank == k] for k in range(comm.size)]))
     arrived[:, -1] -= firsts[comm.rank]
-    return _distinct(arrived)[0]
+    return distinct_rows(arrived)[0]
 
 
 def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
     """Return the last column of rows, sorted by the others, for each pair (n, k)."""
-    _, inverse = _distinct(np.concatenate([pairs, rows[:, :-1]]))
+    _, inverse = distinct_rows(np.concatenate([pairs, rows[:, :-1]]))
     number = inverse[len(pairs) :]
     order = np.argsort(number, kind="stable")
     cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
@@ -395,20 +400,9 @@ class ExteriorFacets:
         first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
         directory = Directory(comm, np.unique(edges[:, 0]))
         _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
-        joined = _distinct(_smooth_pairs(*columns))[0]
+        joined = distinct_rows(_smooth_pairs(*columns))[0]
         face: Numbers = _components(concatenate_ranks(comm, joined), total)[first + part]
         return face
-
-
-def _distinct(rows: Numbers) -> tuple[Numbers, Numbers]:
-    """Return the distinct rows (n, k), sorted, and where each row is; faster than NumPy's."""
-    order = np.lexsort(rows.T[::-1])
-    ascending = rows[order]
-    is_new = np.ones(len(rows), dtype=bool)
-    is_new[1:] = (ascending[1:] != ascending[:-1]).any(axis=1)
-    inverse = np.zeros(len(rows), dtype=np.int64)
-    inverse[order] = np.cumsum(is_new) - 1
-    return ascending[is_new], inverse
 
 
 def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:

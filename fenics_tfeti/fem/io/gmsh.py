@@ -23,10 +23,10 @@ from fenics_tfeti.fem.io.tagged_mesh import (
     TaggedMesh,
     WholeMesh,
     distribute,
-    number_rows,
     tags_by_corners,
 )
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
+from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
@@ -206,7 +206,7 @@ def _check_cells(path: Path, nodes: Numbers, x: Vector) -> None:
             f"{path} has cells with the same node twice: {describe(collapsed)}; mesh there again, "
             "without collapsed cells"
         )
-    distinct = np.unique(number_rows(cells), return_index=True)[1]
+    distinct = np.unique(distinct_rows(cells)[1], return_index=True)[1]
     repeated = np.setdiff1d(np.arange(len(cells)), distinct)
     if len(repeated):
         raise InputError(
@@ -244,7 +244,7 @@ def _facet_tags(
     corners = [g.nodes[:, : kind.facet.vertices].astype(np.int64) for g in groups]
     facets = np.concatenate([np.zeros((0, kind.facet.vertices), dtype=np.int64), *corners])
     entity = _ENTITY[kind.dim - 1]
-    if names := _groups_in_common(groups, number_rows(np.sort(facets, axis=1))):
+    if names := _groups_in_common(groups, distinct_rows(np.sort(facets, axis=1))[1]):
         raise InputError(
             f"{path}: a facet is in several physical {entity} groups, {names}, but can have only "
             "one tag; split the groups so that they do not overlap"

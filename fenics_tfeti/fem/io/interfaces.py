@@ -25,11 +25,16 @@ from fenics_tfeti.fem.io.tagged_mesh import (
     TaggedMesh,
     WholeMesh,
     distribute,
-    number_rows,
     tags_by_corners,
 )
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.topology import NO_TAG, body_names, dense_tags, owned_cells
+from fenics_tfeti.fem.topology import (
+    NO_TAG,
+    body_names,
+    dense_tags,
+    distinct_rows,
+    owned_cells,
+)
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -108,7 +113,7 @@ def open_interfaces(whole: WholeMesh, interfaces: Sequence[Interface]) -> WholeM
     """Return the mesh with the interfaces opened."""
     openings, names = _openings(whole, interfaces)
     corners = whole.nodes[:, np.array(whole.kind.facets)]
-    facets = number_rows(np.sort(corners, axis=2).reshape(-1, corners.shape[2]))
+    facets = distinct_rows(np.sort(corners, axis=2).reshape(-1, corners.shape[2]))[1]
     facets = facets.reshape(corners.shape[:2])
     opened = _opened_facets(whole, facets, openings)
     facet_tag = _new_facet_tags(whole, opened, openings)
@@ -305,7 +310,7 @@ def _separated(whole: WholeMesh, facets: Numbers, opened: Numbers) -> tuple[Numb
         for k, ends in enumerate(kind.midpoints, start=kind.vertices):
             around[:, k, 1 : 1 + len(ends)] = np.sort(nodes[:, ends], axis=1)
             near[:, k] = split[:, ends].any(axis=1)
-        x = _copy_nodes(nodes, near, number_rows(around[near]), x)
+        x = _copy_nodes(nodes, near, distinct_rows(around[near])[1], x)
     order = np.argsort(facets[cell, facet], kind="stable")
     sides = np.sort(nodes[cell[:, None], corners][order], axis=1).reshape(-1, 2, corners.shape[1])
     closed: Mask = np.all(sides[:, 0] == sides[:, 1], axis=1)
@@ -329,7 +334,7 @@ def _groups_at_vertices(whole: WholeMesh, facets: Numbers, opened: Numbers, spli
     corners = np.array(whole.kind.facets)
     cell, facet, k = np.nonzero(split[:, corners] & (opened < 0)[:, :, None])
     vertex = corners[facet, k]
-    joint = number_rows(np.column_stack([facets[cell, facet], whole.nodes[cell, vertex]]))
+    joint = distinct_rows(np.column_stack([facets[cell, facet], whole.nodes[cell, vertex]]))[1]
     size = count + int(joint.max(initial=-1)) + 1
     ends = entry[cell, vertex], count + joint
     graph = sp.coo_matrix((np.ones(joint.size), ends), (size, size))

@@ -179,7 +179,7 @@ class _ActiveSet:
             return False
         exact = step.iterate.energy <= self.turn.tolerance
         sets = [*self.circle, *self.exact_sets] if exact else self.circle
-        return 0 in _counts(self.problem, *(step.active != s for s in sets))
+        return bool(sets) and 0 in _counts(self.problem, *(step.active != s for s in sets))
 
     def update(self, step: _Step) -> None:
         """Take the signs of a step as the next face."""
