@@ -259,21 +259,11 @@ class NewtonIteration:
         if solution is None or (
             not solution.report.converged and solution.report.deflation["negative"]
         ):
-            solution = self._solve_projected(system, monitor)
+            # positive semidefinite
+            solution = self._solve(prepare_tangents(system, "projected"), monitor)
         parts = load_step.torn.torn.subdomains
         fill_displacement(self._increment, parts, solution.displacements)
         return solution
-
-    def _solve_projected(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
-        """Solve with tangents that are positive semidefinite."""
-        try:
-            return self._solve(prepare_tangents(system, "projected"), monitor)
-        except UnstableTangent:
-            # those of bodies on elastic supports, and in axisymmetry, are not projected
-            raise NotConverged(
-                "Newton's method cannot go on: the tangent is not positive, as where a body "
-                "buckles. Halve the load step"
-            ) from None
 
     def _solve(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
         options = replace(self._options.solver, error_if_not_converged=False)

@@ -12,7 +12,8 @@ against them. It is taken where
 - the stress of a torn subdomain outweighs the stiffness of a node;
 - only contact holds a body against rotations: multipliers of contact rows have bounds, so no
   deflation can remove negative directions of them;
-- the exact tangent of the glued bodies is unstable.
+- the exact tangent of the glued bodies is unstable. Of subdomains with elastic supports R is then
+  what these leave free.
 """
 
 from __future__ import annotations
@@ -67,8 +68,9 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
         With the exact tangents as stiffness matrices, and the deformed coordinates.
     kind : {"auto", "exact", "projected"}
         Where exact tangents are taken: in bodies that prescribed displacements and tied rows hold
-        against all rotations, in all bodies, or in none. Subdomains with elastic supports have
-        exact tangents in any case. Rotations that hardly cost anything are projected in any case.
+        against all rotations, in all bodies, or in none. With "auto" subdomains with elastic
+        supports have exact tangents, too. Rotations that hardly cost anything are projected in any
+        case.
 
     Returns
     -------
@@ -90,7 +92,7 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
             for some in (members[exact[bodies]], members[~exact[bodies]]):
                 if some.size:
                     first = subdomains[some[0]]
-                    chosen = _tangent(first, bool(exact[first.body]))
+                    chosen = _tangent(first, bool(exact[first.body]), kind)
                     unchanged = chosen.stiffness is first.stiffness
                     for i in some:
                         K = subdomains[i].stiffness if unchanged else chosen.stiffness
@@ -98,7 +100,7 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     return replace(system, subdomains=subdomains)
 
 
-def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
+def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
     """Return a subdomain with its exact or projected tangent."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
     if subdomain.is_rigid:
@@ -108,7 +110,11 @@ def _tangent(subdomain: Subdomain, exact: bool) -> Subdomain:
     energies = np.abs(translations.T @ (K @ translations))
     if energies.max() > rounding(np.abs(K.data).max(initial=0.0), ENERGY):
         # elastic supports, or axisymmetry
-        return stressed
+        if kind != "projected":
+            return stressed
+        _, sizes, motions = np.linalg.svd(K @ translations, full_matrices=False)
+        R = translations @ motions[sizes <= ZERO * sizes.max()].T
+        return replace(stressed, stiffness=_semidefinite(K, x, R))
     _, sizes, motions = np.linalg.svd(K @ rotations, full_matrices=False)
     share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
     free = sizes <= _STRESSED * share * K.diagonal().mean()
@@ -123,9 +129,7 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     """Return P'KP, positive semidefinite with the rigid body modes R as its kernel.
 
     A of P = I - R A' is on the fixing nodes. K R vanishes where internal and inertial forces do, so
-    the projection is sparse. Negative energies that are left, those of buckling, are changed to
-    their absolute values in the Schur complement on the fixing nodes, and on more of them where
-    the subdomain buckles between them.
+    the projection is sparse.
 
     Parameters
     ----------
@@ -139,11 +143,22 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
     (n, n) scipy.sparse.csr_matrix
         K itself where K R is rounding.
     """
-    R, number, package = rigid_body_modes(coordinates), FIXING_NODES, choose_package("auto")
+    R = rigid_body_modes(coordinates)
+    if not forces_of_motions(stiffness, R).any():
+        return stiffness
+    return _semidefinite(stiffness, coordinates, R)
+
+
+def _semidefinite(stiffness: sp.csr_matrix, coordinates: Vector, R: Vector) -> sp.csr_matrix:
+    """Return P'KP, with the motions R (n, k) as its kernel, without negative energies.
+
+    Those that are left, of buckling and of rotations on elastic supports, are changed to their
+    absolute values in the Schur complement on the fixing nodes, and on more of them where the
+    subdomain buckles between them.
+    """
+    number, package = FIXING_NODES, choose_package("auto")
     while True:
         K, fixed = _projected(stiffness, coordinates, R, number)
-        if K is stiffness:
-            return K
         rest = np.setdiff1d(np.arange(len(R)), fixed)
         try:
             interior = None
@@ -159,11 +174,12 @@ def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_m
 def _projected(
     stiffness: sp.csr_matrix, coordinates: Vector, R: Vector, number: int
 ) -> tuple[sp.csr_matrix, Numbers]:
-    """Return P'KP and the unknowns of the fixing nodes; K itself and none if K R is rounding."""
+    """Return P'KP and the unknowns of the fixing nodes; K itself if K R is rounding."""
+    nodes = fixing_nodes(coordinates, rigid_body_modes(coordinates), number)
+    fixed = unknowns_of_nodes(nodes, coordinates.shape[1])
     forces = sp.csr_matrix(forces_of_motions(stiffness, R))
     if not forces.nnz:
-        return stiffness, np.zeros(0, dtype=np.int64)
-    fixed = unknowns_of_nodes(fixing_nodes(coordinates, R, number), coordinates.shape[1])
+        return stiffness, fixed
     weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
     rows = np.repeat(fixed, R.shape[1])
     columns = np.tile(np.arange(R.shape[1]), fixed.size)

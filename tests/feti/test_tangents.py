@@ -297,6 +297,24 @@ def test_subdomain_on_springs_has_its_exact_tangent():
     check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
 
 
+@pytest.mark.parametrize("component", [0, 1])
+def test_projected_tangent_on_springs_is_positive(component):
+    """Soft springs along one axis do not hold against compression; the other axis stays free."""
+    system = pressed_block(2, 0.1, shape=(4, 3), columns=1, layers=1)
+    parts = []
+    for part in system.subdomains:
+        springs = sp.diags(np.tile(np.arange(2) == component, part.nodes.size) * 1e-4)
+        parts.append(replace(part, stiffness=(part.stiffness + springs).tocsr()))
+    system = replace(system, subdomains=parts)
+    for exact, part in zip(
+        system.subdomains, prepare_tangents(system, "projected").subdomains, strict=True
+    ):
+        assert eigenvalues(exact)[0] < -1e-3
+        assert np.abs(part.stiffness[:, 1 - component :: 2].sum(axis=1)).max() <= 1e-13
+        values = eigenvalues(part)
+        assert np.abs(values[0]) <= 1e-13 < values[1]
+
+
 # -- the rest of the package -----------------------------------------------------------------------
 
 

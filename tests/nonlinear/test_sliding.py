@@ -16,9 +16,9 @@ from finite_strains import SLIDER, TOP, beam, clamped, ironing, ring
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, Coulomb, NonlinearContactProblem
+from fenics_tfeti import ContactPair, Coulomb, NonlinearContactProblem, Plane, RigidObstacle
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
-from fenics_tfeti.models import neo_hookean
+from fenics_tfeti.models import neo_hookean, symmetry_plane
 
 heavy = pytest.mark.heavy
 
@@ -128,3 +128,50 @@ def test_edge_of_a_master_that_passes_nodes_of_the_slave():
             assert len(problem.report.newton) <= 10
         forces.append(abs(problem.results[0].force[1]))
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
+
+
+class TestRingOfRoundSection:
+    """A rubber ring of radius 8 and a round section of radius 1, squeezed between two plates.
+
+    While one node presses on each plate, the section rolls over them: only the hoop strain, the
+    elastic support of the meridian, resists, and less than the load drives it. The plane through
+    its middle is one of symmetry.
+    """
+
+    @staticmethod
+    def force(is_half):
+        """Return the force of the upper plate on the section, or on its upper half."""
+        low = 0 if is_half else -1
+        section = Box((-1, low), (1, 1), (8, 4 * (1 - low)))
+        mesh = boxes(MPI.COMM_SELF, [section], "quadrilateral").mesh
+        markers = {1: lambda x: np.isclose(np.maximum(abs(x[0]), abs(x[1])), 1)}
+        if is_half:
+            markers[2] = lambda x: np.isclose(x[1], 0)
+        tags = tag_facets(mesh, markers)
+        x, y = mesh.geometry.x[:, :2].T
+        section = 8 + x * np.sqrt(1 - y**2 / 2), y * np.sqrt(1 - x**2 / 2)
+        mesh.geometry.x[:, :2] = np.transpose(section)
+        V = displacement_space(mesh)
+        u, r = fem.Function(V), ufl.SpatialCoordinate(mesh)[0]
+        F, hoop = ufl.Identity(2) + ufl.grad(u), 1 + u[0] / r
+        log = ufl.ln(ufl.det(F) * hoop)
+        energy = (0.5 * (ufl.inner(F, F) + hoop**2 - 3) - log + log**2) * r
+        squeeze = {"now": 0.0}
+        contacts = [
+            RigidObstacle(tags, 1, lambda x, s=s: Plane((0, s - s * squeeze["now"]), (0, -s))(x))
+            for s in (1, low)
+            if s
+        ]
+        problem = NonlinearContactProblem(
+            ufl.derivative(energy * ufl.dx, u, ufl.TestFunction(V)),
+            u,
+            bcs=symmetry_plane(V, tags, 2, axis=1) if is_half else None,
+            contacts=contacts,
+            measure_weight=r,
+        )
+        for _ in problem.steps(lambda t: squeeze.update(now=t), 0.0, 0.1, first=0.05):
+            pass
+        return problem.results[0].force[1]
+
+    def test_force_is_that_of_the_half(self):
+        assert self.force(False) == pytest.approx(self.force(True), rel=1e-6)
