@@ -128,10 +128,11 @@ def needs_fenicsx(what: str) -> Iterator[None]:
         missing = (error.name or "").split(".")[0]
         if missing not in _FENICSX:
             raise
+        version = ".".join(map(str, sys.version_info[:2]))
         raise ImportError(
-            f"{what} needs FEniCSx, but the package '{missing}' is missing from {sys.executable}. "
-            "Use the Python that has it (after 'make env': '. .venv/bin/activate'), or install it "
-            "by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), "
+            f"{what} needs FEniCSx, but the package '{missing}' is missing from {sys.executable} "
+            f"(Python {version}). Use the Python that has it (after 'make env': "
+            "'. .venv/bin/activate'), or install it by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), "
             "'conda install -c conda-forge fenics-dolfinx petsc4py mpi4py', or "
-            "'pip install dolfinx-solver-real' (Python >= 3.12)"
+            "'pip install dolfinx-solver-real' (Python 3.12 or later)"
         ) from error

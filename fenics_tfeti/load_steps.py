@@ -6,7 +6,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any
+from typing import Any, cast
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
@@ -28,11 +28,21 @@ from fenics_tfeti.report import ContactReport
 _SHORTEST = 1e-3
 
 
+class _AfterSolve:
+    """An attribute that `solve` sets; before that it is an error."""
+
+    def __get__(self, problem: object, owner: type) -> Any:
+        """Return the class's own, and nothing for a problem."""
+        if problem is None:
+            return self
+        raise InputError("there is no report: call solve() first")
+
+
 class SteppedProblem(ABC):
     """A contact problem that is solved in load steps; its data, and what was solved last."""
 
     options: ContactOptions
-    report: ContactReport
+    report = cast("ContactReport", _AfterSolve())
 
     _report_type: type[ContactReport] = ContactReport
     _is_solved = _is_restored = False

@@ -52,6 +52,11 @@ def axisymmetric_strain(u: Any) -> Any:
 
 def _lame(E: Any, nu: Any) -> tuple[Any, Any]:
     """Return the Lame parameters mu and lambda [Pa]."""
+    if isinstance(nu, (int, float)) and not -1.0 < nu < 0.5:
+        raise InputError(
+            f"Poisson's ratio is {nu}, it has to be between -1 and 0.5. At 0.5 the bulk modulus is "
+            "infinite: rubber has 0.49 to 0.49999"
+        )
     return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 

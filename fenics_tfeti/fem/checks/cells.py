@@ -133,7 +133,8 @@ def _check_shapes(cells: CellGeometry) -> None:
     kind = "curved cells that are folded:" if curved else "twisted cells, in which"
     sign = f"{kind} the determinant of the Jacobian changes its sign"
     remedy = (
-        "Mesh there finer, or let Gmsh mend them (optimize with 'HighOrderElastic')"
+        "Mesh there finer, or let Gmsh mend them by gmsh.model.mesh.optimize('HighOrder') after "
+        "setOrder"
         if curved
         else "Check that their vertices are in the order of dolfinx (those of a quadrilateral row "
         "by row, not around it); otherwise mesh there again"

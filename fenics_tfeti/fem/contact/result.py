@@ -304,6 +304,8 @@ class Results(tuple[Any, ...]):
 
     def __getitem__(self, key: Any) -> Any:
         """Return the result of a contact, by number or name, or those of some numbers."""
+        if not self and not isinstance(key, slice):
+            raise InputError("there are no results: solve the problem first, and give it contacts")
         if not isinstance(key, str):
             return super().__getitem__(key)
         named = [result for result in self if result.name == key]

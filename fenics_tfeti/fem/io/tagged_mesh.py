@@ -12,11 +12,20 @@ from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh, meshtags
 
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_body_names
 from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+class Names(dict[str, int]):
+    """Tags by name; a name that is missing is an error with those that there are."""
+
+    def __missing__(self, name: str) -> int:
+        """Say which names there are."""
+        raise InputError(f"no body or surface has the name {name!r}; the names are {sorted(self)}")
 
 
 @dataclass(frozen=True)
@@ -45,7 +54,7 @@ class TaggedMesh:
     mesh: Mesh
     cell_tags: Any
     facet_tags: Any
-    names: dict[str, int]
+    names: Names
 
 
 def sorted_tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
@@ -120,4 +129,6 @@ def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
         sorted_tags(mesh, d, tagged := np.flatnonzero(tag != NO_TAG), tag[tagged])
         for d, tag in ((dim, cell_tag), (dim - 1, facet_tag))
     )
-    return TaggedMesh(mesh, with_body_names(cell_tags, share.body_names), facet_tags, share.names)
+    return TaggedMesh(
+        mesh, with_body_names(cell_tags, share.body_names), facet_tags, Names(share.names)
+    )

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from itertools import permutations, product
 
+from mpi4py import MPI
+
+import gmsh
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
@@ -13,6 +17,7 @@ from fenics_tfeti import InputError
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.topology import cell_vertices
+from fenics_tfeti.io import read_msh
 
 by_cell = pytest.mark.parametrize("cell", CELLS)
 
@@ -28,6 +33,29 @@ def test_folded_curved_cell_is_named(tmp_path, recombine):
     moved = inner[np.argmin(np.abs(radius - 1.3))]
     x[moved, :2] += 0.4
     with pytest.raises(InputError, match=r"curved cells that are folded.*of \d+ cells"):
+        check_mesh(domain, find_bodies(domain, None), [])
+
+
+@pytest.mark.parametrize("is_mended", [False, True])
+def test_remedy_for_folded_cells_mends_them(tmp_path, is_mended):
+    """A few cells along a thin ring: its arcs are curved by more than a cell is high."""
+    gmsh.initialize()
+    gmsh.option.setNumber("General.Terminal", 0)
+    outer, inner = (gmsh.model.occ.addDisk(0, 0, 0, r, r) for r in (1.0, 0.9))
+    gmsh.model.occ.cut([(2, outer)], [(2, inner)])
+    gmsh.model.occ.synchronize()
+    gmsh.model.addPhysicalGroup(2, [outer])
+    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.9)
+    gmsh.model.mesh.generate(2)
+    gmsh.model.mesh.setOrder(2)
+    if is_mended:
+        gmsh.model.mesh.optimize("HighOrder")
+    gmsh.write(str(tmp_path / "ring.msh"))
+    gmsh.finalize()
+    domain = read_msh(tmp_path / "ring.msh", MPI.COMM_SELF, gdim=2).mesh
+    with (
+        nullcontext() if is_mended else pytest.raises(InputError, match=r"optimize\('HighOrder'\)")
+    ):
         check_mesh(domain, find_bodies(domain, None), [])
 
 

@@ -8,6 +8,8 @@ import scenes
 from dolfinx import mesh
 
 from fenics_tfeti import Exact
+from fenics_tfeti.io import Box, boxes
+from fenics_tfeti.models import isotropic
 from mistakes.catalogue import beams, mistake
 
 
@@ -86,3 +88,24 @@ def number_of_passes_that_is_a_fraction(comm):
 @mistake("cell_tags", "list", "meshtags")
 def cell_tags_that_are_a_list(comm):
     beams(comm).problem(cell_tags=[1, 2])
+
+
+@mistake("no results", "solve")
+def results_of_a_problem_that_is_not_solved(comm):
+    beams(comm).problem().results[0]
+
+
+@mistake("no report", r"solve\(\)")
+def report_of_a_problem_that_is_not_solved(comm):
+    print(beams(comm).problem().report)
+
+
+@mistake("'Upper'", r"\['lower', 'upper'\]")
+def name_that_is_not_in_the_mesh(comm):
+    bodies = [Box((0, y), (1, y + 1), (1, 1), name) for y, name in enumerate(("lower", "upper"))]
+    boxes(comm, bodies, "quadrilateral").names["Upper"]
+
+
+@mistake("0.5", "between")
+def poisson_ratio_of_one_half(comm):
+    isotropic(1e6, 0.5)
