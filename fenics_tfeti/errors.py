@@ -132,7 +132,7 @@ def needs_fenicsx(what: str) -> Iterator[None]:
         raise ImportError(
             f"{what} needs FEniCSx, but the package '{missing}' is missing from {sys.executable} "
             f"(Python {version}). Use the Python that has it (after 'make env': "
-            "'. .venv/bin/activate'), or install it by 'apt install python3-dolfinx-real python3-petsc4py-real' (Debian, Ubuntu), "
-            "'conda install -c conda-forge fenics-dolfinx petsc4py mpi4py', or "
-            "'pip install dolfinx-solver-real' (Python 3.12 or later)"
+            "'. .venv/bin/activate'), or install it by 'apt install python3-dolfinx-real "
+            "python3-petsc4py-real' (Debian, Ubuntu), 'conda install -c conda-forge fenics-dolfinx "
+            "petsc4py mpi4py', or 'pip install dolfinx-solver-real' (Python 3.12 or later)"
         ) from error
