@@ -366,7 +366,9 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
             for i in np.argsort(-resistance)
             if resistance[i] > 0.1 * resistance.max()
         ]
-        descriptions.append(f"{words}; closes only {', '.join(names)} of the motion")
+        descriptions.append(
+            f"{words}; resisted by tilted normals only, which close {', '.join(names)} of it"
+        )
     return descriptions
 
 

@@ -112,7 +112,9 @@ def test_motions_that_tilted_normals_resist_are_listed(tilt):
     rotation, translation = report.weak_motions
     assert rotation.startswith("block: rotation about the axis (")
     assert translation.startswith("block: translation along (1, 0, ")
-    assert translation.endswith(f"; closes only 'contact 0' by {3 * tilt:.0e} of the motion")
+    assert translation.endswith(
+        f"; resisted by tilted normals only, which close 'contact 0' by {3 * tilt:.0e} of it"
+    )
 
 
 @pytest.mark.parametrize("tilt", [1e-1, 1e-3, 1e-4, 4e-5, 1e-6])
