@@ -1,4 +1,4 @@
-"""A rigid shaft turns in the bore of a hub until a key is in its way.
+"""A rigid shaft turns in the bore of a hub until a key stops it.
 
 # Shaft and key
 
