@@ -121,7 +121,7 @@ if comm.rank == 0:
 # ## Picture
 
 stress = von_mises(mesh, sigma(uh), poisson_ratio=None)
-stress.x.array[:] = np.minimum(stress.x.array, 300e6)
+stress.x.array[:] = np.minimum(stress.x.array, 100e6)
 draw_deformed(
     results / "bearing_sector.png",
     uh,
