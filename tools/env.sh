@@ -21,6 +21,10 @@ quietly() {  # run a command; show the end of its output only if it fails
 fill() {
     local venv=$1 python=$2 lock=$3 key=$4 options=$5 wanted
     shift 5
+    [ ! -L "$venv" ] || {
+        echo "$venv is a link to $(readlink "$venv"), which would be emptied: remove the link" >&2
+        exit 1
+    }
     exec 9>"$venv.lock" && flock 9
     key+=$'\n'$(sha256sum <"$lock")
     if [ "$(cat "$venv/.made" 2>/dev/null)" != "$key" ]; then
