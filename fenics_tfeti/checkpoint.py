@@ -65,10 +65,7 @@ class Step:
 def write_step(
     path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str], step: Step
 ) -> None:
-    """Write a checkpoint, or leave the old one as it is. Collective; rank 0 writes.
-
-    `contacts` are the names of the contacts. If rank 0 cannot write the file, all ranks raise.
-    """
+    """Write a checkpoint on rank 0, with the contacts' names, or leave the old one. Collective."""
     parts = nodes.comm.gather(_arrays(step, nodes))
     with raise_collectively(nodes.comm):
         if parts is not None:
@@ -89,32 +86,28 @@ def write_step(
 
 def _arrays(step: Step, nodes: NodeMap) -> dict[str, Array]:
     """Return this rank's part of a file: values at all nodes, and at some of each contact."""
-    numbers, n, gdim = nodes.input_numbers, nodes.owned, nodes.components
-    force, obstacle = step.force, step.origin.obstacles
-    return {
+    numbers, shape = nodes.input_numbers, (nodes.owned, nodes.components)
+    arrays: dict[str, Array] = {
         "numbers": numbers,
         "coordinates": nodes.coordinates,
-        "displacement": step.displacement.reshape(n, gdim),
-        "slip_origin": step.origin.displacement.reshape(n, gdim),
-        "force": force.values,
-        "force_contact": force.contact,
-        "force_node": numbers[force.nodes],
-        "obstacle": obstacle.values,
-        "obstacle_contact": obstacle.contact,
-        "obstacle_node": numbers[obstacle.nodes],
+        "displacement": step.displacement.reshape(shape),
+        "slip_origin": step.origin.displacement.reshape(shape),
     }
+    for name, values in (("force", step.force), ("obstacle", step.origin.obstacles)):
+        arrays[name], arrays[f"{name}_contact"] = values.values, values.contact
+        arrays[f"{name}_node"] = numbers[values.nodes]
+    return arrays
 
 
 def read_step(path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str]) -> Step:
     """Read the part of this rank from a checkpoint of the same mesh and contacts. Collective."""
-    own = nodes.input_numbers
+    own = nodes.input_numbers  # collective
     with raise_collectively(nodes.comm), open_arrays(path, _FORMAT) as file:
         step = _read(file, nodes, own, contacts)
     return step
 
 
 def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]) -> Step:
-    """Read this rank's part; `own` are the numbers of its nodes in the input."""
     coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
     rows = positions(numbers, own)

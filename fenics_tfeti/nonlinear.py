@@ -226,4 +226,4 @@ class NonlinearContactProblem(SteppedProblem):
             self._torn.update_supports(self.bcs)
             return
         self._torn.update(self.bcs, self.contacts)
-        self._step = self._step.of_first(len(self._torn.data.touching))
+        self._step = self._step.of_first(len(self._torn.names))

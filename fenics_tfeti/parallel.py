@@ -85,10 +85,7 @@ def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
 
 
 def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
-    """Send a message to each rank, return those that arrive, by rank. Collective.
-
-    The one to this rank itself is not copied.
-    """
+    """Send a message to each rank, uncopied to itself; return those that arrive, by rank."""
     to_others = [None if rank == comm.rank else m for rank, m in enumerate(messages)]
     received = comm.alltoall(to_others)
     return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(received)]
@@ -138,10 +135,7 @@ class Directory:
         return home
 
     def collect(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
-        """Send rows (key, data...) to the keys' homes; return the columns that arrive here.
-
-        Rows arrive in the order of ranks, those of a rank in the order given.
-        """
+        """Send rows (key, data...) to the keys' homes; return columns as `send_rows` does."""
         return send_rows(self._comm, self._home(keys), keys, *data)
 
     def table(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
@@ -187,10 +181,7 @@ class Directory:
         return tuple(np.concatenate(column)[inverse] for column in columns)
 
     def forward(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
-        """Send rows (key, data...) to all ranks that hold the keys; return the columns received.
-
-        The rows of a key arrive in the order of the ranks that sent them.
-        """
+        """Send rows (key, data...) to all ranks that hold the keys; return columns by sender."""
         columns = self.collect(keys, *data)
         first = np.searchsorted(self._held, columns[0], side="left")
         number = np.searchsorted(self._held, columns[0], side="right") - first

@@ -21,7 +21,7 @@ from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.slip import SlipOrigin
 from fenics_tfeti.fem.contact.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.strains import warn_of_large_gradients
+from fenics_tfeti.fem.gradients import warn_of_large_gradients
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
@@ -244,7 +244,7 @@ class ContactProblem(SteppedProblem):
             self._deformed = None
             self.reset_slip()
         self._torn.update(self.bcs, self.contacts, self._release)
-        self._step = self._step.of_first(len(self._torn.data.touching))
+        self._step = self._step.of_first(len(self._torn.names))
         self.system = self._torn.system(self._step.origin)
 
     def _release(self) -> None:

@@ -24,11 +24,7 @@ from fenics_tfeti.typing import Numbers, Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
-    """Return the space of the forms' arguments, and check that it is a space of displacements.
-
-    The space has Lagrange elements of degree 1 or 2, not below that of the cells, with one
-    component for each dimension; a is bilinear and L linear.
-    """
+    """Return the space of a bilinear and a linear form, checked to be one of displacements."""
     arguments = a.arguments() + L.arguments()
     _check_linear_in_trial_function(a)
     if len(a.arguments()) != 2 or len(L.arguments()) != 1:

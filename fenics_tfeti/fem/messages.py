@@ -15,14 +15,11 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def coordinate_order(points: Vector) -> NDArray[np.intp]:
-    """Return the order of points (k, gdim) by their coordinates, the first coordinate first.
-
-    It does not depend on how the points are distributed over the ranks.
-    """
+    """Return the order of points (k, gdim) by coordinates, which is that on any ranks."""
     order: NDArray[np.intp] = np.lexsort(points.T[::-1])
     return order
 
@@ -60,15 +57,9 @@ class WrongPoints(NamedTuple):
 
 
 def first_wrong(
-    comm: MPI.Intracomm,
-    wrong: NDArray[np.bool_],
-    points: Vector,
-    contact: Numbers | None = None,
+    comm: MPI.Intracomm, wrong: Mask, points: Vector, contact: Numbers | None = None
 ) -> WrongPoints | None:
-    """Return what is wrong at this rank's points (k, gdim) [m], if at any rank's. Collective.
-
-    Points may be of several contacts (k,).
-    """
+    """Return what is wrong at points (k, gdim) [m] of all ranks, of the first such contact (k,)."""
     of_points = np.zeros(len(points), dtype=np.int64) if contact is None else contact
     bad = concatenate_ranks(comm, np.column_stack([of_points, points])[wrong])
     if not len(bad):

@@ -14,7 +14,6 @@ from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.topology import global_numbers
 from fenics_tfeti.parallel import all_to_all, first_of_rank, send_rows
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
@@ -71,17 +70,25 @@ class NodeMap:
 
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
-        return global_numbers(self._map, local)
+        number: Numbers = local.astype(np.int64)
+        is_ghost = number >= self.owned
+        number[is_ghost] = self._ghosts[number[is_ghost] - self.owned]
+        number[~is_ghost] += self.first
+        return number
 
     def to_local(self, nodes: Numbers) -> Numbers:
         """Return the local numbers of global nodes (k,) on this rank."""
-        ghosts = np.asarray(self._map.ghosts, dtype=np.int64)
-        order = np.argsort(ghosts)
         local: Numbers = nodes - self.first
         is_ghost = (local < 0) | (local >= self.owned)
-        position = np.searchsorted(ghosts[order], nodes[is_ghost])
+        order = np.argsort(self._ghosts)
+        position = np.searchsorted(self._ghosts, nodes[is_ghost], sorter=order)
         local[is_ghost] = self.owned + order[position]
         return local
+
+    @cached_property
+    def _ghosts(self) -> Numbers:
+        """The global numbers of the ghosts."""
+        return np.asarray(self._map.ghosts, dtype=np.int64)
 
     @cached_property
     def _ends(self) -> Numbers:
@@ -104,10 +111,7 @@ class NodeMap:
         return found
 
     def to_owners(self, nodes: Numbers, *data: Array) -> tuple[Array, ...]:
-        """Send rows (node, data...) to the owners of the nodes. Collective.
-
-        Returned are local numbers and the data that arrive, in the order of ranks.
-        """
+        """Send rows (node, data...) to the owners; return local nodes and data, by sender."""
         arrived, *rest = send_rows(self.comm, self.owners(nodes), nodes, *data)
         return arrived - self.first, *rest
 
@@ -176,17 +180,3 @@ class ContactNodes(NodeMap):
         own = own_keys % nodes.total - nodes.first
         self.originals = np.concatenate([own, original[of_ghosts]])
         self.contact = np.concatenate([own_keys, keys[of_ghosts]]) // nodes.total
-
-    def to_global(self, local: Array) -> Numbers:
-        """Return the global numbers of local nodes, in an array of the same shape."""
-        ghost = local >= self.owned
-        number: Numbers = local.astype(np.int64) + self.first
-        number[ghost] = self._ghosts[local[ghost] - self.owned]
-        return number
-
-    def to_local(self, nodes: Numbers) -> Numbers:
-        """Return the local numbers of global nodes (k,) on this rank."""
-        local: Numbers = nodes - self.first
-        is_ghost = (local < 0) | (local >= self.owned)
-        local[is_ghost] = self.owned + np.searchsorted(self._ghosts, nodes[is_ghost])
-        return local

@@ -137,10 +137,7 @@ def lagrange_points(name: str, degree: int) -> Vector:
 
 
 def shape_gradients(name: str, degree: int, points: Vector) -> Vector:
-    """Return the derivatives (dim, k, n) of shape functions of degree 1 or 2 at k points.
-
-    Entry (a, i, j) is that of function j along reference axis a at point i.
-    """
+    """Return derivatives (axis, k, n) of the n shape functions of degree 1 or 2 at k points."""
     return np.asarray(_lagrange_element(name, degree).tabulate(1, points)[1:, :, :, 0])
 
 

@@ -94,18 +94,12 @@ def cell_vertices(domain: Mesh) -> Indices:
 
 
 def vertex_nodes(space: FunctionSpace) -> Indices:
-    """Return the local nodes (cells, v) of a space at the vertices of each cell, ghosts last.
-
-    They are in the order of `cell_vertices`, and that of spaces of other degrees.
-    """
+    """Return the local nodes (cells, v) of a space at vertices, in the order of `cell_vertices`."""
     return _compat.cell_dofs(space)[:, : cell_type(space.mesh).vertices]
 
 
 def nodes_in(other: FunctionSpace, space: FunctionSpace) -> Numbers:
-    """Return the local node of another space at each node of a space that is at a vertex.
-
-    Two spaces may number their nodes differently. The entries of nodes at no vertex are 0.
-    """
+    """Return the local node of another space at each node of a space; 0 at those at no vertex."""
     nodes = np.zeros(int(_compat.cell_dofs(space).max(initial=-1)) + 1, dtype=np.int64)
     nodes[vertex_nodes(space)] = vertex_nodes(other)
     return nodes

@@ -52,11 +52,6 @@ class ProblemData:
     displacement: Function | None  # of the surfaces where obstacles are evaluated
     rigid: Mapping[int, RigidBody]  # bodies by tag of their cells
 
-    @property
-    def touching(self) -> list[Contact]:
-        """The contacts without ties."""
-        return [contact for contact in self.contacts if not isinstance(contact, Tie)]
-
 
 class TornProblem:
     """A problem torn into subdomains, with its contacts on undeformed surfaces."""
@@ -135,10 +130,7 @@ class TornProblem:
         return self._search.rigid.fill(uh, bodies, is_small)
 
     def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
-        """Return the torn system, with slip counted from its origin. Collective.
-
-        The conditions are by default those of the undeformed surfaces.
-        """
+        """Return the torn system, with slip counted from its origin. Collective."""
         conditions = conditions or self.undeformed
         return self._system(conditions, conditions.friction_rows(origin))
 

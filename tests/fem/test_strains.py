@@ -13,7 +13,7 @@ from scenes import YOUNG, two_beams
 from dolfinx import fem
 
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.strains import warn_of_large_gradients
+from fenics_tfeti.fem.gradients import warn_of_large_gradients
 
 COMM = MPI.COMM_WORLD
 

@@ -122,11 +122,7 @@ def check_cells(domain: Mesh, bodies: Bodies) -> CellGeometry:
 
 
 def _check_shapes(cells: CellGeometry) -> None:
-    """Check the determinants of the Jacobians, whose sign dolfinx ignores. Collective.
-
-    Wrong are cells in which the determinant changes its sign, straight or curved, and cells without
-    volume.
-    """
+    """Check that det J, whose sign dolfinx ignores, has one sign and is not zero. Collective."""
     dim = len(cells.x)
     scale = FLAT_CELL * cells.size**dim
     curved = _compat.geometry_degree(cells.domain) == 2
@@ -154,10 +150,7 @@ def _check_shapes(cells: CellGeometry) -> None:
 
 
 def check_overlaps(cells: CellGeometry) -> None:
-    """Check that the two cells of a facet are on different sides of it. Collective.
-
-    They are on the same side where a cell is turned inside out, for instance.
-    """
+    """Check that the two cells of a facet are on different sides of it. Collective."""
     facets, above = cell_facets(cells.domain)[: cells.body.size], _above(cells)
     number = int(facets.max(initial=-1)) + 1
     crowded = np.zeros(number, dtype=bool)

@@ -143,10 +143,7 @@ class PreparedForms:
     def _sample_matrices(
         self, parts: Sequence[Part], cells: Mapping[int, Numbers]
     ) -> dict[int, Vector]:
-        """Return the matrices of some cells of some parts, in the frames of the parts' shapes.
-
-        `cells` are positions, for each of these parts.
-        """
+        """Return matrices of cells, by position in a part, in the frames of the parts' shapes."""
         matrices, block = dict[int, Vector](), self.space.dofmap.index_map_bs
         for i, rows in cells.items():
             part = parts[i]

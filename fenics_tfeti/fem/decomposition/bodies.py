@@ -104,15 +104,11 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     single = np.bincount(flat, minlength=int(facet_of.max(initial=-1)) + 1)[flat] == 1
     keys = global_numbers(domain.topology.index_map(dim - 1), flat[single])
     cells = cell_of[single]
-    order = np.argsort(keys)
-    keys, label, tag = keys[order], component[cells][order], tags[cells][order]
-
-    arrived, other_label, other_tag = Directory(comm, keys).forward(keys, label, tag)
-    position = np.searchsorted(keys, arrived)
-    joined = (tag[position] == other_tag) & (label[position] != other_label)
-    edges = np.unique(np.stack([label[position][joined], other_label[joined]]), axis=1)
-    edges = concatenate_ranks(comm, edges.T)
-    graph = sp.csr_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(total, total))
+    rows = Directory(comm, keys).collect(keys, component[cells], tags[cells])
+    keys, label, tag = np.stack(rows)[:, np.argsort(rows[0])]
+    joined = (keys[1:] == keys[:-1]) & (tag[1:] == tag[:-1])
+    edges = concatenate_ranks(comm, np.unique([label[:-1][joined], label[1:][joined]], axis=1).T)
+    graph = sp.csr_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(total, total))
     number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
     return number
 
@@ -120,10 +116,7 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
 def _bounding_boxes(
     domain: Mesh, cells: Numbers, first: Numbers, present: Numbers, bodies: int
 ) -> list[str]:
-    """Write the bounding boxes of bodies, of which some are present on this rank. Collective.
-
-    Their cells follow each other, from a first one for each.
-    """
+    """Write boxes around bodies; those on this rank have their cells in a row. Collective."""
     low = np.full((bodies, domain.geometry.dim), np.inf)
     high = -low
     nodes = _compat.geometry_cells(domain)[cells]

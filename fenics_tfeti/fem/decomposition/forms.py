@@ -185,14 +185,9 @@ def _label(number: int, coefficient: Function, name: str) -> str:
 
 def _tagged_ids(form: ufl.Form, kind: str) -> list[int]:
     """Return the tags that a form's integrals of one kind are limited to."""
-    ids: set[int] = set()
-    for integral in form.integrals():
-        if integral.integral_type() == kind and integral.subdomain_id() not in (
-            "everywhere",
-            "otherwise",
-        ):
-            ids.update(np.atleast_1d(integral.subdomain_id()).tolist())
-    return sorted(ids)
+    ids = [i.subdomain_id() for i in form.integrals() if i.integral_type() == kind]
+    named = [tags for tags in ids if tags not in ("everywhere", "otherwise")]
+    return sorted({tag for tags in named for tag in np.atleast_1d(tags).tolist()})
 
 
 def _subdomain_data(form: ufl.Form, kind: str, ids: list[int], name: str, domain: Mesh) -> Any:

@@ -89,10 +89,7 @@ def _cut(
 
 
 def as_subdomains(domain: Mesh, bodies: Bodies, labels: Sequence[int]) -> list[Indices]:
-    """Make subdomains by the user's labels: cells of one label on one rank and in one body.
-
-    Each cell that this rank owns has a label; a label whose cells are not connected gives several.
-    """
+    """Return the connected cells of each of the user's labels, of one rank and one body."""
     label = np.asarray(labels)
     owned = owned_cells(domain)
     with raise_collectively(domain.comm):

@@ -19,12 +19,7 @@ import numpy as np
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.interfaces import Interface, open_interfaces
-from fenics_tfeti.fem.io.tagged_mesh import (
-    TaggedMesh,
-    WholeMesh,
-    distribute,
-    tags_by_corners,
-)
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
 from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.parallel import positions, raise_collectively

@@ -21,20 +21,9 @@ from scipy.sparse.csgraph import connected_components
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
-from fenics_tfeti.fem.io.tagged_mesh import (
-    TaggedMesh,
-    WholeMesh,
-    distribute,
-    tags_by_corners,
-)
+from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.topology import (
-    NO_TAG,
-    body_names,
-    dense_tags,
-    distinct_rows,
-    owned_cells,
-)
+from fenics_tfeti.fem.topology import NO_TAG, body_names, dense_tags, distinct_rows, owned_cells
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -266,10 +255,7 @@ def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[_Openi
 
 
 def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:
-    """Tell which cells are below facets of theirs that are nearly in a plane.
-
-    The plane's normal points upwards: its largest component is positive.
-    """
+    """Tell which cells are below facets, nearly in a plane whose normal's largest part is up."""
     x, nodes = whole.x, whole.nodes[cell]
     corners = np.array(whole.kind.facet_nodes(1))[facet]
     points = x[np.take_along_axis(nodes, corners, axis=1)]
@@ -324,10 +310,7 @@ def _separated(whole: WholeMesh, facets: Numbers, opened: Numbers) -> tuple[Numb
 
 
 def _groups_at_vertices(whole: WholeMesh, facets: Numbers, opened: Numbers, split: Mask) -> Numbers:
-    """Return the group of cells at each of the vertices that may be split.
-
-    Cells that have a closed facet in common are in one group at its vertices.
-    """
+    """Return the group of cells, joined by closed facets, at each vertex that may be split."""
     entry = np.full(split.shape, -1, dtype=np.int64)
     count = entry[split].size
     entry[split] = np.arange(count)

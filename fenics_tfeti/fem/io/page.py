@@ -192,10 +192,7 @@ def _phases(seconds: Mapping[str, float]) -> go.Figure:
 
 
 def _bodies(scene: Scene, units: Units) -> go.Figure:
-    """Return the deformed bodies, with a menu of fields and a slider of the magnification.
-
-    Both are frames, of which Plotly writes the arrays as bytes.
-    """
+    """Return the deformed bodies, with a menu of fields and a slider of the magnification."""
     scene = scene.triangulated()
     points, displacement = (x.astype(np.float32) for x in (scene.points, scene.displacement))
 
@@ -214,6 +211,7 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
         lighting={"ambient": 1, "diffuse": 0} if scene.flat else {"ambient": 0.8, "diffuse": 0.3},
         hovertemplate="%{intensity:.4g}<extra></extra>",
     )
+    # frames, since Plotly writes their arrays as bytes
     frames = [
         go.Frame(name=name, data=go.Mesh3d(data)) for name, data in (colours | scales).items()
     ]

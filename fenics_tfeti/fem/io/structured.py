@@ -204,10 +204,7 @@ def _check_boxes(bodies: Sequence[Box], cell: str) -> None:
 
 
 def _shares(counts: list[int], comm: MPI.Comm) -> list[Numbers]:
-    """Return for each box the numbers, within the box, of the items that this rank makes.
-
-    All items are numbered box by box, and the ranks' shares follow each other, as dolfinx expects.
-    """
+    """Return which items of each box, numbered box by box, this rank makes: equal shares."""
     total = sum(counts)
     start, stop = total * comm.rank // comm.size, total * (comm.rank + 1) // comm.size
     return [

@@ -92,10 +92,7 @@ class WholeMesh:
 def tags_by_corners(
     cell: str, nodes: Numbers, corners: Numbers, values: Numbers
 ) -> tuple[Numbers, Mask]:
-    """Return tags (m, f) of the facets of cells from those of corners (k, t), in any order.
-
-    Also tell which of the corners are those of a facet; negative ones are not.
-    """
+    """Return tags (m, f) of facets from those of corners (k, t), and which are a facet's."""
     facets = np.sort(nodes[:, np.array(reference_cell(cell).facets)], axis=2)
     marked = np.zeros(nodes.max() + 1, dtype=bool)
     marked[corners[corners >= 0]] = True
