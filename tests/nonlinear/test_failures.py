@@ -47,6 +47,10 @@ def test_residual_without_u(scene):
     bilinear = ufl.inner(ufl.TrialFunction(V), ufl.TestFunction(V)) * ufl.dx
     with pytest.raises(InputError, match="F has 2 arguments"):
         NonlinearContactProblem(bilinear, u)
+    of_degree_2 = fem.Function(displacement_space(V.mesh, 2))
+    energy = ufl.inner(ufl.grad(of_degree_2), ufl.grad(ufl.TestFunction(V))) * ufl.dx
+    with pytest.raises(InputError, match="not on the function space of the test function"):
+        NonlinearContactProblem(energy, of_degree_2)
     with pytest.raises(InputError, match="u is a str"):
         NonlinearContactProblem(residual(scene), "u")
 
@@ -70,6 +74,14 @@ def test_start_with_inverted_cells(scene):
     scene.problem.u.interpolate(lambda x: np.array([0.0 * x[0], -1.5 * x[1]]))
     with pytest.raises(InputError, match=r"u cannot be the start .* the cell at \(.*is inverted"):
         scene.problem.solve()
+
+
+def test_residual_that_is_nan(scene):
+    u, contacts = scene.problem.u, scene.problem.contacts
+    F = residual(scene, ufl.sqrt(ufl.inner(ufl.grad(u), ufl.grad(u))) * ufl.dx(degree=2))
+    problem = NonlinearContactProblem(F, u, bcs=scene.problem.bcs, contacts=contacts)
+    with pytest.raises(InputError, match="u cannot be the start .* the residual F is NaN"):
+        problem.solve()
 
 
 def test_nothing_converges_in_two_steps():

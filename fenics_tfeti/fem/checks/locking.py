@@ -43,6 +43,8 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
     cells, type_ = _samples(forms, bodies), cell_type(domain)
     corners = domain.geometry.x[cell_vertices(domain)[cells], : domain.geometry.dim]
     matrices = forms.cell_matrices(cells)
+    # NaN is told of when all cells are assembled
+    matrices = np.where(np.isfinite(matrices).all(axis=(1, 2), keepdims=True), matrices, 0.0)
     ratios = [locking_ratio(type_, x, K) for x, K in zip(corners, matrices, strict=True)]
     largest = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
     ratio, body = max(domain.comm.allgather(largest))

@@ -242,7 +242,7 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
     n = gdim * nodes.size
     _check_fields(label, subdomain, np.float64, coordinates=(nodes.size, gdim), load=(n,))
     _check_finite(f"coordinates of {name}", subdomain.coordinates)
-    _check_finite(f"load of {name}", subdomain.load, "a traction or body force?")
+    _check_finite(f"load of {name}", subdomain.load, "Check tractions and body forces")
     _check_format(f"stiffness of {name}", subdomain.stiffness, n)
     if subdomain.frame is not None:
         _check_fields(label, subdomain, np.float64, frame=(gdim, gdim))
@@ -322,7 +322,8 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
             f"{what}: entries are unsorted or repeated, and the arrays cannot be changed in place. "
             "Give a copy with K.sum_duplicates()"
         )
-    _check_finite(what, K.data, "a material coefficient?")
+    hint = "Check the material: lambda is infinite at a Poisson's ratio of 0.5, for example"
+    _check_finite(what, K.data, hint)
     largest = float(np.abs(K.data).max(initial=0.0))
     skew = _skewness(K, largest)
     if skew > ZERO * largest:

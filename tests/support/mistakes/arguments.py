@@ -28,6 +28,16 @@ def option_with_an_unknown_value(comm):
     beams(comm).problem(options={"preconditioner": "jacobi"})
 
 
+@mistake("options is a list", "dictionary")
+def options_that_are_a_list(comm):
+    beams(comm).problem(options=["rtol", 1e-6])
+
+
+@mistake("options_prefix", "'-tfeti_'", "without a dash")
+def prefix_of_options_with_a_dash(comm):
+    beams(comm).problem(options_prefix="-tfeti_")
+
+
 @mistake("subdomains", r"\(3,\)", "cells")
 def subdomains_of_a_wrong_length(comm):
     beams(comm).problem(subdomains=np.zeros(3, dtype=np.int32)).solve()

@@ -74,6 +74,26 @@ def rigid_body_that_is_a_number(comm):
     rigid_beam(comm, body=1e6)
 
 
+@mistake("rigid is a list", "dict of RigidBody")
+def rigid_bodies_in_a_list(comm):
+    beams(comm).problem(rigid=[RigidBody((2.0, 1.5))])
+
+
+@mistake("rigid", "'upper'", "integer")
+def rigid_body_by_its_name(comm):
+    rigid_beam(comm, tag="upper")
+
+
+@mistake("rigid", "tag 2", "3 coordinates", "mesh 2")
+def rigid_body_of_another_dimension(comm):
+    rigid_beam(comm, body=RigidBody((2.0, 1.5, 0.0)))
+
+
+@mistake("all bodies are rigid", "deformable")
+def rigid_bodies_alone(comm):
+    beams(comm).problem(rigid={1: RigidBody((1.0, 0.5)), 2: RigidBody((2.0, 1.5))})
+
+
 @mistake("rigid bodies", "5 nodes", r"\(3, 1\)", "translation")
 def support_on_a_rigid_body(comm):
     rigid_beam(comm, supports=2)

@@ -31,6 +31,14 @@ def nan_in_one_cell_of_a_coefficient(comm):
     scene.problem().solve()
 
 
+@mistake("stiffness of subdomain", "NaN or infinite", "ratio of 0.5")
+def incompressible_material(comm):
+    scene = beams(comm)
+    ratio = scene.constant(0.5)
+    scene.a += YOUNG / (1 - 2 * ratio) * ufl.div(scene.u) * ufl.div(scene.v) * ufl.dx
+    scene.problem().solve()
+
+
 @mistake("NaN", r"\blinear form", "constant 0")
 def nan_in_the_load(comm):
     scene = beams(comm)
