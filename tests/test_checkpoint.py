@@ -228,6 +228,7 @@ def test_other_supports_are_another_start(saved):
     [
         ("force_contact", np.array(0), "'force_contact' has shape"),
         ("force_contact", None, "'force_contact' is missing"),
+        ("force_contact", 7, "'force_contact' has numbers of no contact"),
         ("displacement", np.zeros((3, 2)), "'displacement' has shape"),
         ("slip_origin", None, "'slip_origin' is missing"),
         ("obstacle", np.zeros(0, dtype=np.int64), "'obstacle' is of type|'obstacle' has shape"),
@@ -236,7 +237,7 @@ def test_other_supports_are_another_start(saved):
 )
 def test_damaged_arrays(path, saved, name, values, message):
     arrays = dict(np.load(saved[1]))
-    arrays[name] = values
+    arrays[name] = np.full_like(arrays[name], values) if isinstance(values, int) else values
     np.savez(path, **{key: array for key, array in arrays.items() if array is not None})
     with pytest.raises(InputError, match=message):
         block_on_disc(block(COMM), Disc()).restore(path)

@@ -152,8 +152,6 @@ def _check_form(form: Any, what: str) -> None:
 
 def _is_zero(L: Any) -> bool:
     """Tell whether a load vanishes: 0, a form without integrals, or the zero form of new UFL."""
-    if isinstance(L, bool | np.bool_):
-        return False
     if isinstance(L, int | float | np.number):
         return bool(L == 0)
     zero = getattr(ufl, "ZeroBaseForm", None)

@@ -33,8 +33,6 @@ def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
     At least half of all combinations of coordinates are at one node and none is at two: corners of
     the body may be missing, and so may boxes on other ranks.
     """
-    if cell_nodes.size == 0:
-        return None
     # a few cells tell that most meshes are no grids: their nodes have too many coordinates
     sample = np.unique(cell_nodes[:: len(cell_nodes) // _SAMPLE + 1])
     if _LEAST_FILLED * _combinations(_indices(points[sample])) > cell_nodes.size:

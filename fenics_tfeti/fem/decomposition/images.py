@@ -36,10 +36,7 @@ def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Num
         return
     largest = max(np.abs(points).max(), np.abs(reference).max())
     x, y = points - points.mean(axis=0), reference - reference.mean(axis=0)
-    radii = np.linalg.norm(y, axis=1)
-    tolerance = RELATIVE_ROUNDING * float(radii.max())
-    if np.abs(np.sort(np.linalg.norm(x, axis=1)) - np.sort(radii)).max() > tolerance:
-        return
+    tolerance = RELATIVE_ROUNDING * float(np.linalg.norm(y, axis=1).max())
     tree = cKDTree(x)
     probes = np.unique(np.linspace(0, len(y) - 1, _PROBES).astype(int))
     for rotation in _candidates(x, y, tolerance):

@@ -77,6 +77,13 @@ def test_a_point_that_moved_along_its_sphere():
     assert find_image(points, reference) is None
 
 
+def test_points_that_moved_beside_those_compared_first():
+    reference = np.random.default_rng(1).random((100, 3))
+    points = reference.copy()
+    points[[1, 2]] += [[0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]
+    assert find_image(points, reference) is None
+
+
 def test_other_numbers_of_points():
     assert find_image(grid(1, 2)[1:], grid(1, 2)) is None
 

@@ -175,6 +175,50 @@ def test_wrong_dimension_is_refused(tmp_path, points, element, gdim, message):
         read_msh(path, MPI.COMM_SELF, gdim=gdim)
 
 
+def overlapping():
+    for tag, surfaces in ((3, [1]), (4, [1, 2])):
+        gmsh.model.addPhysicalGroup(2, surfaces, tag)
+
+
+def one_left_out():
+    gmsh.model.addPhysicalGroup(2, [1])
+    gmsh.option.setNumber("Mesh.SaveAll", 1)
+
+
+def not_meshed():
+    gmsh.model.occ.addRectangle(5, 0, 0, 1, 1)
+    gmsh.model.occ.synchronize()
+    gmsh.model.addPhysicalGroup(2, [1, 2, 3], 7)
+
+
+@pytest.mark.parametrize(
+    ("group", "message"),
+    [
+        (overlapping, "several physical surface groups, '3' and '4'"),
+        (one_left_out, "4 of 8 cells are in no physical surface group"),
+        (not_meshed, "surface 3 of physical group 7 has elements of 0 types"),
+        (gmsh.model.mesh.clear, "has no cells; was it damaged, or saved before meshing"),
+    ],
+)
+def test_groups_that_do_not_fit_the_mesh_are_refused(tmp_path, group, message):
+    path = tmp_path / "a.msh"
+    gmsh.initialize()
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("squares")
+        for x in (0, 1):
+            gmsh.model.occ.addRectangle(x, 0, 0, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.option.setNumber("Mesh.MeshSizeMin", 2)
+        gmsh.model.mesh.generate(2)
+        group()
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+    with pytest.raises(InputError, match=message):
+        read_msh(path, MPI.COMM_SELF, gdim=2)
+
+
 def two_beams_script():
     spec = importlib.util.spec_from_file_location("two_beams", MESHES / "two_beams.py")
     module = importlib.util.module_from_spec(spec)

@@ -88,6 +88,12 @@ def test_wrong_box_is_refused(part, cell, message):
         boxes(MPI.COMM_SELF, [part], cell)
 
 
+def test_two_boxes_of_one_name_are_refused():
+    part = Box((0, 0), (1, 1), (1, 1), name="block")
+    with pytest.raises(InputError, match="two boxes have the same name.*'block'"):
+        boxes(MPI.COMM_SELF, [part, part], "triangle")
+
+
 def test_no_box_is_refused():
     with pytest.raises(InputError, match="at least one box"):
         boxes(MPI.COMM_SELF, [])
