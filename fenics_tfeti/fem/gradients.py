@@ -152,7 +152,7 @@ def _inverse(A: Vector) -> tuple[Vector, Vector]:
     if len(A) == 2:
         adjugate = np.array([[A[1, 1], -A[0, 1]], [-A[1, 0], A[0, 0]]])
     else:
-        adjugate = np.array([[_cofactor(A, i, j) for i in range(3)] for j in range(3)])
+        adjugate = np.stack([np.cross(A[i - 2], A[i - 1], axis=0) for i in range(3)], axis=1)
     determinant = np.sum(A[0] * adjugate[:, 0], axis=0)
     return adjugate / determinant, determinant
 
@@ -161,10 +161,4 @@ def determinants(A: Vector) -> Vector:
     """Return the determinants (...) of matrices (d, d, ...), d = 2 or 3, of all at once."""
     if len(A) == 2:
         return np.asarray(A[0, 0] * A[1, 1] - A[0, 1] * A[1, 0])
-    return np.asarray(sum(A[0, j] * _cofactor(A, 0, j) for j in range(3)))
-
-
-def _cofactor(A: Vector, i: int, j: int) -> Vector:
-    """Return cofactors of (3, 3, ...) matrices; the other rows and columns follow in a circle."""
-    cofactor: Vector = A[i - 2, j - 2] * A[i - 1, j - 1] - A[i - 2, j - 1] * A[i - 1, j - 2]
-    return cofactor
+    return np.asarray(np.sum(A[0] * np.cross(A[1], A[2], axis=0), axis=0))
