@@ -14,8 +14,6 @@ from fenics_tfeti.typing import Indices, Numbers, Points
 
 # part of all combinations of coordinates at which a grid has nodes
 _LEAST_FILLED = 0.5
-# cells to look at first, about
-_SAMPLE = 1000
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
     At least half of all combinations of coordinates are at one node and none is at two: corners of
     the body may be missing, and so may boxes on other ranks.
     """
-    # a few cells tell that most meshes are no grids: their nodes have too many coordinates
-    sample = np.unique(cell_nodes[:: len(cell_nodes) // _SAMPLE + 1])
+    # a thousand cells tell that most meshes are no grids: their nodes have too many coordinates
+    sample = np.unique(cell_nodes[:: len(cell_nodes) // 1000 + 1])
     if _LEAST_FILLED * _combinations(_indices(points[sample])) > cell_nodes.size:
         return None
     nodes, positions = np.unique(cell_nodes, return_inverse=True)

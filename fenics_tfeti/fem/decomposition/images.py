@@ -15,14 +15,6 @@ from scipy.spatial import cKDTree
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Numbers, Points
 
-# nodes that are compared first
-_PROBES = 16
-# nodes that may be the image of the first one: of sets such as spherical shells, of which there are
-# more, no images are looked for
-_MOST = 1000
-# entries of an orthogonal matrix that are rounding
-_ZERO = 1e-15
-
 
 def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Numbers]]:
     """Find the rotations and mirrorings by which points are the images of reference points.
@@ -38,7 +30,8 @@ def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Num
     x, y = points - points.mean(axis=0), reference - reference.mean(axis=0)
     tolerance = RELATIVE_ROUNDING * float(np.linalg.norm(y, axis=1).max())
     tree = cKDTree(x)
-    probes = np.unique(np.linspace(0, len(y) - 1, _PROBES).astype(int))
+    # nodes that are compared first
+    probes = np.unique(np.linspace(0, len(y) - 1, 16).astype(int))
     for rotation in _candidates(x, y, tolerance):
         if tree.query(y[probes] @ rotation.T)[0].max() > tolerance:
             continue
@@ -47,7 +40,7 @@ def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Num
             continue
         left, _, right = np.linalg.svd(x[order].T @ y)
         rotation = left @ right  # the nearest orthogonal matrix
-        rotation[np.abs(rotation) < _ZERO] = 0.0
+        rotation[np.abs(rotation) < 1e-15] = 0.0  # rounding
         if np.abs(x[order] - y @ rotation.T).max() <= COORDINATE_ROUNDING * largest:
             yield rotation, order
 
@@ -57,7 +50,7 @@ def _candidates(x: Points, y: Points, tolerance: float) -> Iterator[Points]:
     first = _rarest(np.linalg.norm(y, axis=1)[:, None], tolerance)
     a = y[first]
     candidates = np.flatnonzero(np.abs(np.linalg.norm(x, axis=1) - np.linalg.norm(a)) <= tolerance)
-    if candidates.size > _MOST:
+    if candidates.size > 1000:  # as of spherical shells
         return
     if y.shape[1] == 2:
         vectors, pairs = a[None], [x[i][None] for i in candidates]
