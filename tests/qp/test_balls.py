@@ -27,8 +27,6 @@ def test_points_in_intervals():
     assert balls.directions(y).tolist() == [[-1.0], [0.0], [1.0]]
     assert balls.on_boundary(y, RADIUS, np.ones(3, dtype=bool)).tolist() == [[-5.0], [0.0], [0.0]]
 
-
-def test_inside_and_on_the_boundary_differ_by_more_than_rounding():
     y = np.array([[3.0, 4.0 - 1e-12], [2.0 - 1e-6, 0.0]])
     assert balls.inside(y, RADIUS[:2]).tolist() == [False, True]
 

@@ -21,25 +21,22 @@ DISCS = Discs(np.array([[0, 2], [3, 1]]), np.array([[1.0, 1.0], [0.0, 0.0]]), np
 
 
 def test_bounds_from_a_vector_take_the_finite_ones():
-    assert BOUNDS.indices.tolist() == [1, 2, 3]
+    assert BOUNDS.indices.tolist() == INTERVALS.indices.tolist() == [1, 2, 3]
     assert BOUNDS.lower.tolist() == [0.0, 1.0, -2.0]
-    assert INTERVALS.indices.tolist() == [1, 2, 3]
     assert INTERVALS.upper.tolist() == [0.0, 3.0, 2.0]
 
 
-def test_projection_is_the_nearest_feasible_point():
-    assert BOUNDS.project(np.array([-9.0, -9.0, 3.0, -2.0])).tolist() == [-9.0, 0.0, 3.0, -2.0]
-    assert INTERVALS.project(np.array([9.0, 9.0, 9.0, 9.0])).tolist() == [9.0, 0.0, 3.0, 2.0]
-    np.testing.assert_allclose(
-        DISCS.project(np.array([7.0, 0.0, 9.0, 0.5])), [4.0, 0.0, 5.0, 0.5], rtol=1e-15
-    )
-
-
-def test_active_bounds_hold_exactly():
-    x = BOUNDS.project(np.array([0.0, -1.0, 1.0 + 1e-15, -2.0]))
-    assert BOUNDS.on_boundary(x).tolist() == [1, 3]
-    x = INTERVALS.project(np.array([0.0, 1.0, 3.0 - 1e-15, 5.0]))
-    assert INTERVALS.on_boundary(x).tolist() == [1, 3]
+@pytest.mark.parametrize(("factor", "x", "nearest", "active"), [
+    (BOUNDS, (-9.0, -9.0, 3.0, -2.0), [-9.0, 0.0, 3.0, -2.0], [1, 3]),
+    (BOUNDS, (0.0, -1.0, 1.0 + 1e-15, -2.0), [0.0, 0.0, 1.0 + 1e-15, -2.0], [1, 3]),
+    (INTERVALS, (9.0, 9.0, 9.0, 9.0), [9.0, 0.0, 3.0, 2.0], [1, 2, 3]),
+    (INTERVALS, (0.0, 1.0, 3.0 - 1e-15, 5.0), [0.0, 0.0, 3.0 - 1e-15, 2.0], [1, 3]),
+    (DISCS, (7.0, 0.0, 9.0, 0.5), [4.0, 0.0, 5.0, 0.5], [0, 2]),
+])  # fmt: skip
+def test_projection_is_the_nearest_point_and_active_bounds_hold_exactly(factor, x, nearest, active):
+    found = factor.project(np.array(x))
+    np.testing.assert_allclose(found, nearest, rtol=1e-15 if factor is DISCS else 0.0)
+    assert factor.on_boundary(found).tolist() == active
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
@@ -55,50 +52,27 @@ def test_what_is_projected_on_a_circle_is_on_it(scale, far, seed):
     assert not disc.on_circle(x).any()
 
 
-@pytest.mark.parametrize(
-    ("direction", "length"),
-    [
-        ((1.0, 0.0, 0.0, 0.0), INF),  # no bound
-        ((0.0, -1.0, -1.0, -1.0), INF),  # away from all bounds
-        ((5.0, 1.0, 1.0, 2.0), 1.5),  # to the bound of the last one
-        ((0.0, 4.0, 1.0, 0.0), 0.5),
-    ],
-)
-def test_longest_step(direction, length):
-    x = np.array([0.0, 2.0, 3.0, 1.0])
-    assert BOUNDS.longest_step(x, np.array(direction)) == length
-
-
-@pytest.mark.parametrize(
-    ("direction", "length"),
-    [
-        ((1.0, 1.0, 0.0, 0.0), INF),  # downwards
-        ((0.0, -1.0, -0.1, 0.0), 4.0),  # to the upper bound of component 1
-        ((0.0, -1.0, -1.0, 0.0), 1.0),  # to that of component 2
-        ((0.0, 0.0, 2.0, 0.0), 0.5),  # to its lower one
-        ((0.0, 1.0, 0.0, 1.0), 0.0),  # nowhere
-    ],
-)
-def test_longest_step_between_bounds(direction, length):
-    x = np.array([0.0, -4.0, 2.0, 2.0])
-    assert INTERVALS.longest_step(x, np.array(direction)) == length
-
-
-@pytest.mark.parametrize(
-    ("direction", "length"),
-    [
-        ((0.0, 0.0, 0.0, 0.0), INF),
-        ((-1.0, 0.0, 0.0, 0.0), 2.0),  # from (4, 1) to (6, 1)
-        ((1.0, 0.0, 0.0, 0.0), 8.0),  # to (-4, 1)
-        ((0.0, 0.0, -2.0, 0.0), 2.0),  # to (4, 5)
-        ((0.0, 0.0, 0.0, 1.0), 0.0),  # out of the unit disc
-        ((0.0, 0.0, 0.0, -1.0), 2.0),  # through it
-        ((0.0, 1.0, 0.0, 0.0), 0.0),  # along its tangent
-    ],
-)
-def test_longest_step_in_discs(direction, length):
-    x = np.array([4.0, 0.0, 1.0, -1.0])
-    assert DISCS.longest_step(x, np.array(direction)) == pytest.approx(length, rel=1e-15)
+@pytest.mark.parametrize(("factor", "x", "direction", "length"), [
+    (BOUNDS, (0.0, 2.0, 3.0, 1.0), (1.0, 0.0, 0.0, 0.0), INF),  # no bound
+    (BOUNDS, (0.0, 2.0, 3.0, 1.0), (0.0, -1.0, -1.0, -1.0), INF),  # away from all bounds
+    (BOUNDS, (0.0, 2.0, 3.0, 1.0), (5.0, 1.0, 1.0, 2.0), 1.5),  # to the bound of the last one
+    (BOUNDS, (0.0, 2.0, 3.0, 1.0), (0.0, 4.0, 1.0, 0.0), 0.5),
+    (INTERVALS, (0.0, -4.0, 2.0, 2.0), (1.0, 1.0, 0.0, 0.0), INF),  # downwards
+    (INTERVALS, (0.0, -4.0, 2.0, 2.0), (0.0, -1.0, -0.1, 0.0), 4.0),  # to the upper bound of 1
+    (INTERVALS, (0.0, -4.0, 2.0, 2.0), (0.0, -1.0, -1.0, 0.0), 1.0),  # to that of 2
+    (INTERVALS, (0.0, -4.0, 2.0, 2.0), (0.0, 0.0, 2.0, 0.0), 0.5),  # to its lower one
+    (INTERVALS, (0.0, -4.0, 2.0, 2.0), (0.0, 1.0, 0.0, 1.0), 0.0),  # nowhere
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (0.0, 0.0, 0.0, 0.0), INF),
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (-1.0, 0.0, 0.0, 0.0), 2.0),  # from (4, 1) to (6, 1)
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (1.0, 0.0, 0.0, 0.0), 8.0),  # to (-4, 1)
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (0.0, 0.0, -2.0, 0.0), 2.0),  # to (4, 5)
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (0.0, 0.0, 0.0, 1.0), 0.0),  # out of the unit disc
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (0.0, 0.0, 0.0, -1.0), 2.0),  # through it
+    (DISCS, (4.0, 0.0, 1.0, -1.0), (0.0, 1.0, 0.0, 0.0), 0.0),  # along its tangent
+])  # fmt: skip
+def test_longest_step(factor, x, direction, length):
+    found = factor.longest_step(np.array(x), np.array(direction))
+    assert found == pytest.approx(length, rel=1e-15)
 
 
 @hypothesis.given(seed=st.integers(0, 10**6), size=st.sampled_from([1e-6, 1.0]))
@@ -184,9 +158,6 @@ def test_split_counts_owned_components_only():
     assert split.free.tolist() == [3.0, 0.0, 0.0, 6.0]
     assert (split.gradient2, split.boundary2, split.reduced_free) == (25.0, 16.0, 9.0)
     assert (split.constraint2, split.conjugation) == (0.0, 0.0)
-
-
-def test_split_on_discs_counts_owned_components_only():
     unit = Discs(np.array([[0, 1], [2, 3]]), np.zeros((2, 2)), np.ones(2))
     x, g = np.array([0.0, 1.0, 0.0, 1.0]), np.array([0.0, 5.0, 0.0, 7.0])
     split = ProductSet(discs=unit).split(x, g, 0.25, Space(owned=2))

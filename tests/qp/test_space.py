@@ -13,12 +13,11 @@ X, Y = np.array([1.0, 2.0, 3.0]), np.array([4.0, 5.0, 6.0])
 
 
 def test_one_process():
+    """Components that are not owned do not count."""
     assert Space().dots((X, Y), (X, X)) == [32.0, 14.0]
     assert Space().norm(X) == pytest.approx(np.sqrt(14.0), rel=1e-15)
     assert Space().dots_and_min((X, Y), value=-2.0) == [32.0, -2.0]
 
-
-def test_components_that_are_not_owned_do_not_count():
     assert Space(owned=2).dots((X, Y)) == [14.0]
     assert Space(owned=0).norm(X) == 0.0
 

@@ -11,7 +11,7 @@ from fenics_tfeti.qp import lanczos_upper_bound
 pytestmark = pytest.mark.once
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("steps", [10, 15])
 def test_estimate_is_safe_for_the_step_length(seed, steps):
     """A step of 1.9 / estimate has to stay below 2 / ||A||, which leaves 5 % to underestimate."""
@@ -22,31 +22,21 @@ def test_estimate_is_safe_for_the_step_length(seed, steps):
     assert 0.95 * largest < estimate < 1.3 * largest
 
 
-def test_all_steps_give_the_eigenvalue():
-    values = np.arange(1.0, 7.0)
-    assert lanczos_upper_bound(lambda x: values * x, np.ones(6), 6) == pytest.approx(6.0, rel=1e-12)
-
-
-def test_invariant_subspace_ends_it_early():
-    calls = []
-
-    def operator(x):
-        calls.append(x)
-        return 3.0 * x
-
-    assert lanczos_upper_bound(operator, np.ones(5), 10) == pytest.approx(3.0, rel=1e-14)
-    assert len(calls) == 1
-
-
-def test_products_are_the_steps():
-    calls = []
+@pytest.mark.parametrize(("values", "steps", "calls", "expected"), [
+    (np.arange(1.0, 7.0), 6, 6, 6.0),  # all eigenvectors
+    (np.full(5, 3.0), 10, 1, 3.0),  # an invariant subspace ends it early
+    (np.zeros(3), 5, 1, 0.0),
+])  # fmt: skip
+def test_steps(values, steps, calls, expected):
+    products = []
 
     def operator(x):
-        calls.append(x)
-        return np.arange(1.0, 31.0) * x
+        products.append(x)
+        return values * x
 
-    lanczos_upper_bound(operator, np.random.default_rng(0).standard_normal(30), 7)
-    assert len(calls) == 7
+    estimate = lanczos_upper_bound(operator, np.ones(values.size), steps)
+    assert estimate == pytest.approx(expected, rel=1e-12, abs=0.0)
+    assert len(products) == calls
 
 
 @pytest.mark.parametrize("scale", [1e-20, 1e20])
@@ -57,6 +47,5 @@ def test_scale(scale):
     assert scaled == pytest.approx(scale * plain, rel=1e-10)
 
 
-def test_zero_operator_and_zero_start():
-    assert lanczos_upper_bound(lambda x: 0.0 * x, np.ones(3), 5) == 0.0
+def test_zero_start():
     assert lanczos_upper_bound(lambda x: x, np.zeros(3), 5) == 0.0

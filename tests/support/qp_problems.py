@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import hypothesis
 import numpy as np
 import quadprog
 import scipy.linalg
@@ -85,6 +86,22 @@ class Problem:
             away = x[at] - centre
             y[at] = centre + away * min(1.0, radius / np.hypot(*away)) if away.any() else centre
         return y
+
+    def contains(self, x: Vector) -> bool:
+        """Return whether x is within the bounds exactly, and up to rounding in the discs."""
+        d = self.discs
+        outside = np.linalg.norm(x[d.indices] - d.centre, axis=1) > d.radius * (1.0 + 1e-14)
+        return bool(np.all((self.lower <= x) & (x <= self.upper)) and not outside.any())
+
+    def minimum(self) -> Vector:
+        """Return the solution by an independent solver; hypothesis draws again if it fails."""
+        if not self.discs.radius.size:
+            return self.solution()
+        oracle = self.conic_solution()
+        if hypothesis.currently_in_test_context():
+            hypothesis.assume(oracle.accurate)
+        assert oracle.accurate
+        return oracle.x
 
     def solution(self) -> Vector:
         """Solve by Goldfarb and Idnani's dual active set method (quadprog), without discs."""
