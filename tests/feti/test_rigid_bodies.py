@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 
-from mpi4py import MPI
-
 import numpy as np
 import pytest
 from pairwise import pairwise
-from sparse_rows import clamped, distributed
-from torn import Glued, cube, fixed_nodes
+from sparse_rows import assert_same_on_ranks, clamped
+from torn import Glued, cube, with_prescribed
 
 from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.feti import (
     ContactRows,
     Options,
-    Prescribed,
     Subdomain,
     TornSolver,
     TornSystem,
@@ -27,7 +24,6 @@ from fenics_tfeti.feti.local.rigid_body_modes import raw_modes, rigid_body_modes
 
 pytestmark = pytest.mark.once
 
-COMM = MPI.COMM_WORLD
 RIGID = 10**9
 # corners of a tetrahedron: a place is a sum of them with coefficients that add up to 1
 FRAME = np.array([[0.0, 0.0, 1.0], [2.0, 0.0, 1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
@@ -111,33 +107,15 @@ def with_a_rigid_row():
     system = punch(kernel=guided())
     block = system.subdomains[0]
     corner = block.nodes[(block.coordinates == [0.0, 0.0, 1.0]).all(axis=1)]
-    fixed, more = system.prescribed, fixed_nodes(corner, [0, 1, 2])
-    prescribed = Prescribed(
-        np.append(fixed.nodes, more.nodes),
-        np.append(fixed.components, more.components),
-        np.append(fixed.values, more.values),
-    )
-    return dataclasses.replace(system, prescribed=prescribed)
+    return with_prescribed(system, corner, [0, 1, 2])
 
 
 def pushed():
     """Return the punch with its corners moved by given displacements, downwards and tilted."""
-    corners = RIGID + np.array([0, 1, 2])
-    prescribed, system = punch().prescribed, punch()
-    motion = fixed_nodes(corners, [2], -0.002)
-    motion.values[1] = -0.007
-    sideways = fixed_nodes(corners[[0, 1]], [1])
-    along = fixed_nodes(corners[:1], [0])
-    parts = (prescribed, motion, sideways, along)
-    return dataclasses.replace(
-        system,
-        prescribed=Prescribed(
-            *(
-                np.concatenate([getattr(part, name) for part in parts])
-                for name in ("nodes", "components", "values")
-            )
-        ),
-    )
+    system, corners = punch(), RIGID + np.array([0, 1, 2])
+    system = with_prescribed(system, corners, [2], -0.002)
+    system.prescribed.values[-2] = -0.007
+    return with_prescribed(with_prescribed(system, corners[:2], [1]), corners[:1], [0])
 
 
 def stacked():
@@ -168,16 +146,10 @@ def unknown_closing():
     upper = lower + 2 * RIGID
     terms = np.column_stack([upper, lower, np.full(lower.size, RIGID)]).repeat(3, axis=0)
     signs = np.array([1.0, -1.0, 1.0])
-    coefficients = signs[None, None, :, None] * np.tile(
-        np.eye(3)[:, None, :], (lower.size, 1, 1, 1)
-    )
-    k = len(terms)
+    every = np.tile(np.eye(3)[:, None, :], (lower.size, 1, 1, 1))
+    coefficients, k = (signs[:, None] * every).reshape(-1, 3), len(terms)
     tied = ContactRows(
-        3 * np.arange(k + 1),
-        terms.ravel(),
-        coefficients.reshape(-1, 3),
-        np.zeros(k),
-        np.zeros(k, int),
+        3 * np.arange(k + 1), terms.ravel(), coefficients, np.zeros(k), np.zeros(k, int)
     )
     fixed = clamped([below, above], (2, 0.0), (2, 2.0))
     return TornSystem([below, above, closing], fixed, ContactRows.none(3), 3, tied=tied)
@@ -240,15 +212,7 @@ def test_against_dense_solution(name, method, scaling):
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("name", ["guided", "glued", "rigid row", "stacked", "closing"])
 def test_solution_does_not_depend_on_ranks(name):
-    system, options = SYSTEMS[name](), Options(rtol=1e-11)
-    expected = TornSolver(system, options).solve()
-    solution = TornSolver(distributed(system, COMM), options).solve()
-    mine = expected.displacements[COMM.rank :: COMM.size]
-    size = max(np.abs(u).max() for u in expected.displacements)
-    for u, v in zip(solution.displacements, mine, strict=True):
-        assert np.abs(u - v).max() <= 1e-10 * size
-    forces = expected.normal_force[COMM.rank :: COMM.size]
-    assert solution.normal_force == pytest.approx(forces, rel=1e-8)
+    assert_same_on_ranks(SYSTEMS[name](), Options(rtol=1e-11), 1e-10)
 
 
 def test_certificate_and_resultants():

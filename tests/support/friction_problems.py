@@ -31,6 +31,13 @@ def horizontal(rows: ContactRows, bound, slip=(0.0, 0.0)) -> Friction:
     )
 
 
+def random_tangents(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return tangents of normals, the first across one random direction."""
+    first = np.cross(normals, rng.standard_normal(3))
+    first /= np.linalg.norm(first, axis=1)[:, None]
+    return np.stack([first, np.cross(normals, first)], axis=1)
+
+
 def without_upper_supports(system: TornSystem) -> TornSystem:
     """Return the system with supports at the nodes of the first body only."""
     given = system.prescribed
@@ -90,9 +97,7 @@ def in_a_corner(seed: int) -> TornSystem:
     rows = ContactRows.node_to_node(
         np.concatenate(slave), np.full(k, -1), normals, gaps, np.repeat([0, 1], size)
     )
-    first = np.cross(normals, rng.standard_normal(3))
-    first /= np.linalg.norm(first, axis=1)[:, None]
-    tangents = np.stack([first, np.cross(normals, first)], axis=1)
+    tangents = random_tangents(normals, rng)
     bounds = 10.0 ** (rng.uniform(-4, -1) + rng.uniform(-1, 0, k))
     friction = Friction(np.arange(k), tangents, bounds)
     return dataclasses.replace(

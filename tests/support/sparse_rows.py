@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import Any
 
 from mpi4py import MPI
 
@@ -12,7 +13,15 @@ import numpy as np
 from numpy.random import Generator
 from torn import Glued, cube, fixed_nodes
 
-from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti import (
+    ContactRows,
+    Friction,
+    Options,
+    Prescribed,
+    Subdomain,
+    TornSolver,
+    TornSystem,
+)
 
 SECOND = 10**9
 LENGTHS = (-6.0, 6.0)
@@ -120,6 +129,29 @@ def distributed(system: TornSystem, comm: MPI.Comm) -> TornSystem:
         friction=friction,
         comm=comm,
     )
+
+
+def assert_same_on_ranks(system: TornSystem, options: Options, rtol: float) -> tuple[Any, Any]:
+    """Solve on one rank and, dealt out, on all; return both solutions if they are the same."""
+    comm = MPI.COMM_WORLD
+    alone = TornSolver(dataclasses.replace(system, comm=MPI.COMM_SELF), options).solve()
+    found = TornSolver(distributed(system, comm), options).solve()
+    mine = slice(comm.rank, None, comm.size)
+    size = max(np.abs(u).max() for u in alone.displacements)
+    for u, expected in zip(found.displacements, alone.displacements[mine], strict=True):
+        np.testing.assert_allclose(u, expected, rtol=0.0, atol=rtol * size)
+    for name in ("normal_force", "tied_force"):
+        expected = getattr(alone, name)
+        atol = 10.0 * rtol * np.abs(expected).max(initial=0.0)
+        np.testing.assert_allclose(getattr(found, name), expected[mine], rtol=0.0, atol=atol)
+    torn = {"torn": found.report.unknowns["torn"]}
+    assert found.report.unknowns == alone.report.unknowns | torn
+    groups = [[g.bodies for g in s.report.certificate.groups] for s in (alone, found)]
+    assert groups[0] == groups[1]
+    for ours, theirs in zip(found.report.contacts, alone.report.contacts, strict=True):
+        for name in ("force", "moment", "force_on_master", "moment_on_master"):
+            np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), atol=10.0 * rtol)
+    return alone, found
 
 
 @dataclass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 from dataclasses import dataclass
 
@@ -78,6 +79,19 @@ def fixed_nodes(nodes, components, value: float = 0.0) -> Prescribed:
     size = nodes.size * len(components)
     every = np.repeat(nodes, len(components))
     return Prescribed(every, np.tile(components, nodes.size), np.full(size, value))
+
+
+def with_prescribed(system: TornSystem, nodes, components, value: float = 0.0) -> TornSystem:
+    """Return a system of which some components of nodes are prescribed too."""
+    old, new = system.prescribed, fixed_nodes(np.asarray(nodes), components, value)
+    both = (np.append(getattr(old, f.name), getattr(new, f.name)) for f in dataclasses.fields(old))
+    return dataclasses.replace(system, prescribed=Prescribed(*both))
+
+
+def with_fields(system: TornSystem, part: str, **changes) -> TornSystem:
+    """Return a system with changes of its `contacts`, `friction` or another part."""
+    changed = dataclasses.replace(getattr(system, part), **changes)
+    return dataclasses.replace(system, **{part: changed})
 
 
 def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0)) -> TornSystem:
