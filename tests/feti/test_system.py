@@ -73,20 +73,19 @@ def test_arrays_of_the_right_type_stay_the_same_objects():
     assert subdomain.stiffness is K
 
 
-def unsorted(K: sp.csr_matrix) -> sp.csr_matrix:
+def messy_stiffness() -> sp.csr_matrix:
     """Return K with the entries of each row in the opposite order, the first in two halves."""
-    data, indices, indptr = K.data[::-1], K.indices[::-1], K.indptr[-1] - K.indptr[::-1]
-    turned = sp.csr_matrix((data, K.shape[0] - 1 - indices, indptr), K.shape)
-    data, indices = turned.data.copy(), turned.indices
+    K = cube(1).stiffness
+    data, indices = K.data.copy(), K.indices.copy()
+    for begin, end in zip(K.indptr[:-1], K.indptr[1:], strict=True):
+        data[begin:end], indices[begin:end] = data[begin:end][::-1], indices[begin:end][::-1]
     data = np.concatenate([[0.5 * data[0], 0.5 * data[0]], data[1:]])
     indices = np.concatenate([[indices[0], indices[0]], indices[1:]])
-    return sp.csr_matrix((data, indices, np.append(0, turned.indptr[1:] + 1)), K.shape)
+    return sp.csr_matrix((data, indices, np.append(0, K.indptr[1:] + 1)), K.shape)
 
 
 def test_repeated_and_unsorted_entries_are_merged():
-    K = cube(1).stiffness
-    reverse = np.arange(24)[::-1]
-    messy = unsorted(K[reverse][:, reverse].tocsr())
+    K, messy = cube(1).stiffness, messy_stiffness()
     np.testing.assert_allclose(messy.toarray(), K.toarray(), atol=1e-16)
     assert not messy.has_canonical_format
     subdomain = dataclasses.replace(cube(1), stiffness=messy)
@@ -96,8 +95,7 @@ def test_repeated_and_unsorted_entries_are_merged():
 
 
 def test_repeated_entries_that_cannot_be_merged_in_place():
-    reverse = np.arange(24)[::-1]
-    messy = unsorted(cube(1).stiffness[reverse][:, reverse].tocsr())
+    messy = messy_stiffness()
     for array in (messy.data, messy.indices, messy.indptr):
         array.flags.writeable = False
     subdomain = dataclasses.replace(cube(1), stiffness=messy)
@@ -121,12 +119,8 @@ def test_infinite_gaps_bear_no_force():
     assert found.report.products == expected.report.products
 
 
-def test_name_of_a_body():
-    assert column().body_name(1) == "upper"
-    assert column().body_name(7) == "body 7"
-
-
-def test_no_contact_rows():
+def test_names_of_bodies_and_no_contact_rows():
+    assert [column().body_name(i) for i in (1, 7)] == ["upper", "body 7"]
     none = ContactRows.none(2)
     assert none.normal.shape == (0, 2)
     assert none.slave.size == none.nodes.size == none.gap.size == none.contact.size == 0

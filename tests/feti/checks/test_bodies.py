@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -28,36 +30,14 @@ def triangle(points, nodes, body: int = 0) -> Subdomain:
 A, B, C, D, E, F = (0, 0), (2, 0), (1, 2), (1, -1), (3, 2), (-1, 2)
 
 
-def in_the_plane(*triangles: Subdomain) -> TornSystem:
-    return TornSystem(triangles, Prescribed(), ContactRows.none(2), 2)
-
-
-def test_two_common_nodes_make_two_triangles_rigid():
-    check_system(in_the_plane(triangle([A, B, C], [0, 1, 2]), triangle([A, B, D], [0, 1, 3])))
-
-
-def test_three_hinges_make_three_triangles_rigid():
-    check_system(
-        in_the_plane(
-            triangle([A, B, D], [0, 1, 3]),
-            triangle([B, C, E], [1, 2, 4]),
-            triangle([A, C, F], [0, 2, 5]),
-        )
-    )
-
-
-def test_two_hinges_leave_three_triangles_movable():
-    with pytest.raises(InputError, match="body 0.*hinged"):
-        check_system(
-            in_the_plane(
-                triangle([A, B, D], [0, 1, 3]),
-                triangle([B, C, E], [1, 2, 4]),
-                triangle([A, C, F], [0, 6, 5]),
-            )
-        )
-
-
-def test_bodies_of_their_own_need_no_connection():
-    check_system(
-        in_the_plane(triangle([A, B, C], [0, 1, 2]), triangle([A, B, D], [3, 4, 5], body=1))
-    )
+@pytest.mark.parametrize(("triangles", "rigid"), [
+    ([([A, B, C], [0, 1, 2]), ([A, B, D], [0, 1, 3])], True),
+    ([([A, B, D], [0, 1, 3]), ([B, C, E], [1, 2, 4]), ([A, C, F], [0, 2, 5])], True),
+    ([([A, B, D], [0, 1, 3]), ([B, C, E], [1, 2, 4]), ([A, C, F], [0, 6, 5])], False),
+    ([([A, B, C], [0, 1, 2]), ([A, B, D], [3, 4, 5], 1)], True),
+], ids=["two common nodes", "three hinges", "two hinges", "bodies of their own"])  # fmt: skip
+def test_triangles_are_rigid_together_or_movable(triangles, rigid):
+    parts = [triangle(*arguments) for arguments in triangles]
+    system = TornSystem(parts, Prescribed(), ContactRows.none(2), 2)
+    with contextlib.nullcontext() if rigid else pytest.raises(InputError, match="body 0.*hinged"):
+        check_system(system)

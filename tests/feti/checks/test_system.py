@@ -65,27 +65,16 @@ def test_subdomain_in_two_parts_that_elastic_supports_hold():
     check_system(TornSystem([both], Prescribed(), ContactRows.none(3), 3))
 
 
-@pytest.mark.parametrize(
-    ("force", "gap", "message"),
-    [
-        (np.zeros(2), np.zeros(3), r"normal_force .* shape \(2,\), expected \(3,\)"),
-        (np.zeros(3), np.zeros(4), r"gap .* shape \(4,\), expected \(3,\)"),
-        (np.array([0.0, np.inf, 1.0]), np.zeros(3), "normal_force .* 1 of 3 numbers are NaN"),
-        (np.zeros(3), np.array([0.0, np.nan, 1.0]), "gap .* 1 of 3 gaps are NaN"),
-    ],
-)
+@pytest.mark.parametrize(("force", "gap", "message"), [
+    ([0.0, 0.0], 3 * [0.0], r"normal_force .* shape \(2,\), expected \(3,\)"),
+    (3 * [0.0], 4 * [0.0], r"gap .* shape \(4,\), expected \(3,\)"),
+    ([0.0, np.inf, 1.0], 3 * [0.0], "normal_force .* 1 of 3 numbers are NaN"),
+    (3 * [0.0], [0.0, np.nan, 1.0], "gap .* 1 of 3 gaps are NaN"),
+])  # fmt: skip
 def test_wrong_guess(force, gap, message):
     with pytest.raises(InputError, match=message):
-        check_guess(ContactGuess(force, gap), 3)
-
-
-def test_gaps_of_a_guess_may_be_infinite():
-    check_guess(ContactGuess(np.zeros(2), np.array([0.0, np.inf])), 2)
-
-
-def test_guess_of_a_wrong_type():
-    with pytest.raises(InputError, match="guess: got str, expected a ContactGuess"):
-        TornSolver(column(), guess="all closed")
+        check_guess(ContactGuess(np.array(force), np.array(gap)), 3)
+    check_guess(ContactGuess(np.zeros(3), np.array([0.0, np.inf, 1.0])), 3)
 
 
 @pytest.mark.parametrize("contacts", [None, np.zeros(3)], ids=["none", "array"])
@@ -96,11 +85,14 @@ def test_system_is_checked_before_the_guess(contacts):
         TornSolver(system, guess=guess)
 
 
-def test_arguments_of_wrong_types():
-    with pytest.raises(InputError, match="system: got NoneType, expected a TornSystem"):
-        TornSolver(None)
-    with pytest.raises(InputError, match="options: got dict, .* parse_options"):
-        TornSolver(column(), {"rtol": 1e-3})
+@pytest.mark.parametrize(("arguments", "message"), [
+    ({"system": None}, "system: got NoneType, expected a TornSystem"),
+    ({"options": {"rtol": 1e-3}}, "options: got dict, .* parse_options"),
+    ({"guess": "all closed"}, "guess: got str, expected a ContactGuess"),
+])  # fmt: skip
+def test_arguments_of_wrong_types(arguments, message):
+    with pytest.raises(InputError, match=message):
+        TornSolver(**{"system": column(), **arguments})
 
 
 @pytest.mark.ranks(2)

@@ -9,19 +9,14 @@ from fenics_tfeti.feti.coarse.factor import choose_coarse_solver, choose_groups
 from fenics_tfeti.feti.solution.setup import choose_factor
 
 
-@pytest.mark.parametrize("ranks", [1, 2])
-def test_one_or_two_ranks_have_the_whole_factor(ranks):
-    assert choose_coarse_solver(ranks, 10**6) == "redundant"
-
-
-@pytest.mark.parametrize("ranks", [2, 3, 30, 300, 3000])
-def test_small_matrices_stay_whole(ranks):
-    assert choose_coarse_solver(ranks, 600) == "redundant"
-
-
-@pytest.mark.parametrize("ranks", [3, 30, 300, 3000])
-def test_large_matrices_do_not(ranks):
-    assert choose_coarse_solver(ranks, 10**5) == "distributed"
+@pytest.mark.parametrize(("ranks", "size", "mumps", "solver"), [
+    *((ranks, 10**6, True, "redundant") for ranks in (1, 2)),
+    *((ranks, 600, True, "redundant") for ranks in (2, 3, 30, 300, 3000)),
+    *((ranks, 10**5, True, "distributed") for ranks in (3, 30, 300, 3000)),
+    (100, 10**6, False, "redundant"),
+])  # fmt: skip
+def test_large_matrices_are_distributed_over_more_than_two_ranks(ranks, size, mumps, solver):
+    assert choose_coarse_solver(ranks, size, mumps=mumps) == solver
 
 
 def test_few_of_many_ranks_share_a_factor():
@@ -29,11 +24,6 @@ def test_few_of_many_ranks_share_a_factor():
     assert groups == sorted(groups)
     assert groups[0] == 1
     assert groups[-1] < 1000
-
-
-def test_nothing_is_distributed_without_mumps():
-    assert choose_coarse_solver(100, 10**6) == "distributed"
-    assert choose_coarse_solver(100, 10**6, mumps=False) == "redundant"
 
 
 @pytest.mark.parametrize("solver", ["distributed", "iterative"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from pairwise import pairwise
-from torn import cube
+from torn import cube, node_rows
 
 from fenics_tfeti import UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
@@ -34,14 +34,30 @@ def block(load, normals_of, n: int = 2, size: float = 1.0, force: float = 1.0) -
     return TornSystem([body], Prescribed(), rows, 3, ["block"])
 
 
+def ground(x):
+    return [(0, 0, -1)] if x[2] == 0 else []
+
+
+NOT_TURNED = np.eye(3)
+
+
+def valley(tilt: float, turn=NOT_TURNED):
+    """Return the normals of ground that slopes by `tilt` to one side or the other, all turned."""
+
+    def normals(x):
+        corner = np.count_nonzero(x[:2] == 0.5) == 0
+        return [turn @ (tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
+
+    return normals
+
+
 def test_a_coefficient_that_is_rounding_bears_no_load():
     """The side walls cannot hold the block down by 3e-18 of their force."""
 
     def walls(x):
-        ground = [(0, 0, -1)] if x[2] == 0 else []
         left = [(-1, 0, 3e-18)] if x[0] == 0 else []
         right = [(1, 0, 3e-18)] if x[0] == 1 else []
-        return ground + left + right
+        return ground(x) + left + right
 
     with pytest.raises(UnresistedMotion, match=r"block: translation along \(0, 0, 1\)"):
         TornSolver(block((0, 0, 1.0), walls))
@@ -52,13 +68,8 @@ def test_a_coefficient_that_is_rounding_bears_no_load():
     pairwise([1e-6, 1.0, 1e3], [1e-3, 1e-5, 1e-7], ["active_set", "smalbe"]),
 )
 def test_a_flat_valley_bears_the_load(tilt, method, size):
-    """The ground slopes by `tilt` to one side or the other; the load leans by a tenth of it."""
-
-    def valley(x):
-        corner = np.count_nonzero(x[:2] == 0.5) == 0
-        return [(tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
-
-    system = block((0.1 * tilt, 0, -1.0), valley, size=size, force=size**2)
+    """The load leans by a tenth of the slopes."""
+    system = block((0.1 * tilt, 0, -1.0), valley(tilt), size=size, force=size**2)
     solution = TornSolver(system, Options(rtol=1e-6, method=method)).solve()
     force = solution.normal_force[:, None] * system.contacts.normal
     np.testing.assert_allclose(force.sum(axis=0)[2], -(size**2), rtol=1e-5)
@@ -68,43 +79,25 @@ def test_a_flat_valley_bears_the_load(tilt, method, size):
 @pytest.mark.parametrize("n", [1, 2, 6])
 @pytest.mark.parametrize("lean", [1e-6, 1e-3])
 def test_a_plane_bears_no_load_that_leans(n, lean):
-    def plane(x):
-        return [(0, 0, -1)] if x[2] == 0 else []
-
     with pytest.raises(UnresistedMotion, match=r"block: translation along \(1, 0, 0\)"):
-        TornSolver(block((lean, 0, -1.0), plane, n))
+        TornSolver(block((lean, 0, -1.0), ground, n))
 
 
 def test_a_small_load_beside_a_large_one_is_noticed():
     """The light cube slides although its load is rounding beside that of the other."""
-    systems = [block((0, 0, -1e12), lambda x: [(0, 0, -1)] if x[2] == 0 else [])]
+    heavy = block((0, 0, -1e12), ground)
     light = cube(2, (5, 0, 0), body=1, first=10**9, load=(1.0, 0, -1.0))
-    bottom = light.nodes[light.coordinates[:, 2] == 0]
-    k = bottom.size
-    first = systems[0].contacts
-    rows = ContactRows.node_to_node(
-        np.concatenate([first.slave, bottom]),
-        np.full(first.slave.size + k, -1),
-        np.concatenate([first.normal, np.tile([0.0, 0.0, -1.0], (k, 1))]),
-        np.zeros(first.slave.size + k),
-        np.zeros(first.slave.size + k, dtype=int),
-    )
-    system = TornSystem(
-        [systems[0].subdomains[0], light], Prescribed(), rows, 3, ["heavy", "light"]
-    )
+    rows = node_rows(light.nodes[light.coordinates[:, 2] == 0], [0.0, 0.0, -1.0])
+    rows = ContactRows.concatenate([heavy.contacts, rows])
+    parts = [*heavy.subdomains, light]
     with pytest.raises(UnresistedMotion, match=r"light: translation along \(1, 0, 0\)"):
-        TornSolver(system)
+        TornSolver(TornSystem(parts, Prescribed(), rows, 3, ["heavy", "light"]))
 
 
 @pytest.mark.parametrize("tilt", [1e-1, 1e-3, 1e-6])
 def test_motions_that_tilted_normals_resist_are_listed(tilt):
     """A block in a valley; across it the tilts of nine nodes resist it, along it nothing."""
-
-    def valley(x):
-        corner = np.count_nonzero(x[:2] == 0.5) == 0
-        return [(tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
-
-    report = TornSolver(block((0, 0, -1.0), valley)).solve().report
+    report = TornSolver(block((0, 0, -1.0), valley(tilt))).solve().report
     assert "block: translation along (0, 1, 0)" in report.free_motions
     if tilt > 1e-2:
         assert report.weak_motions == []
@@ -121,12 +114,8 @@ def test_motions_that_tilted_normals_resist_are_listed(tilt):
 def test_the_projector_is_accurate_however_weak_the_resistance(tilt):
     """GG' squares it: of 3e-4 a single application of P leaves 1e-9, in forces that do not fade."""
     turn = np.linalg.qr(np.array([[2.0, 1.0, 0.3], [-0.4, 1.5, 1.0], [0.2, -1.0, 2.0]]))[0]
-
-    def valley(x):
-        corner = np.count_nonzero(x[:2] == 0.5) == 0
-        return [turn @ (tilt if corner else -tilt, 0, -1)] if x[2] == 0 else []
-
-    coarse_space = TornSolver(block(turn @ (0, 0, -1.0), valley)).setup.projector.coarse_space
+    system = block(turn @ (0, 0, -1.0), valley(tilt, turn))
+    coarse_space = TornSolver(system).setup.projector.coarse_space
     projector = Projector.build(coarse_space, np.ones(9, dtype=bool))
     # the vector whose error decides on the number of applications
     x = seeded_vector(np.arange(9))

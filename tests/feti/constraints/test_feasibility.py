@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from torn import cube
+from sparse_rows import clamped
+from torn import cube, with_prescribed
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.feasibility import contradiction
 
 pytestmark = pytest.mark.once
@@ -27,13 +30,8 @@ def conditions(*rows) -> ContactRows:
 def held_cubes(contacts: ContactRows, z: float | None = None) -> TornSystem:
     """Two glued cubes held at one face; the node may have a prescribed z displacement."""
     cubes = [cube(2), cube(2, (1, 0, 0))]
-    face = cubes[0].nodes[cubes[0].coordinates[:, 0] == 0]
-    nodes, components = np.repeat(face, 3), np.tile([0, 1, 2], face.size)
-    values = np.zeros(nodes.size)
-    if z is not None:
-        nodes, components = np.append(nodes, NODE), np.append(components, 2)
-        values = np.append(values, z)
-    return TornSystem(cubes, Prescribed(nodes, components, values), contacts, 3)
+    system = TornSystem(cubes, clamped(cubes, (0, 0.0)), contacts, 3)
+    return system if z is None else with_prescribed(system, [NODE], [2], z)
 
 
 def walls(gap: float) -> ContactRows:
@@ -81,9 +79,7 @@ def test_contradiction_within_rounding_is_none(rounding):
 def test_tied_rows_and_a_wall_beside_a_far_one():
     """The node is tied to the origin along x and y, and a wall pushes it along (1, 1)."""
     walls = conditions((X + Y, -1e-4), (X - Y, 1e9))
-    tied = conditions((X, 0.0), (Y, 0.0))
-    system = held_cubes(walls)
-    system = TornSystem(system.subdomains, system.prescribed, walls, 3, tied=tied)
+    system = dataclasses.replace(held_cubes(walls), tied=conditions((X, 0.0), (Y, 0.0)))
     with pytest.raises(InputError, match=f"contradict each other: 3 conditions.*{NODE}"):
         TornSolver(system).solve()
 

@@ -15,8 +15,8 @@ from friction_problems import (
     pulled_strip,
     pushed_block,
 )
+from torn import with_prescribed
 
-from fenics_tfeti.feti import Prescribed
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.friction import FrictionRows, SlipBound
 from fenics_tfeti.feti.constraints.rows import build_constraints
@@ -58,30 +58,26 @@ def test_rows_are_the_tangential_jumps_of_glued_displacements(name, weighted):
 
 @every_system
 def test_rows_are_orthonormal_but_for_the_coupled_ones(name):
-    constraints, _ = build_constraints(SYSTEMS[name]())
+    """Both tangential rows of a site have one scale and one bound."""
+    system = SYSTEMS[name]()
+    constraints, _ = build_constraints(system)
     B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
     gram = np.eye(constraints.size)
     coupling = constraints.coupling
     gram[np.ix_(coupling.rows, coupling.rows)] = coupling.gram.toarray()
     np.testing.assert_allclose(B @ B.T, gram, atol=1e-9)
     assert np.count_nonzero(coupling.tangential) == (56 if name == "do not match" else 0)
-
-
-@every_system
-def test_both_tangential_rows_have_one_scale_and_one_bound(name):
-    system = SYSTEMS[name]()
-    friction = build_constraints(system)[0].friction
+    friction = constraints.friction
     assert friction.rows.shape == (system.friction.size, system.gdim - 1)
     assert friction.present.all()
-    np.testing.assert_allclose(
-        friction.given(friction.bound.radius * friction.scale), system.friction.bound, rtol=1e-14
-    )
+    bound = friction.given(friction.bound.radius * friction.scale)
+    np.testing.assert_allclose(bound, system.friction.bound, rtol=1e-14)
 
 
 def test_slip_offset_and_prescribed_displacements_are_on_the_right_hand_side():
     system = pushed_block(slip=(0.01, -0.02))
-    top = held_block().prescribed
-    moved = Prescribed(top.nodes, top.components, np.full(top.values.size, 0.5))
+    held = held_block().prescribed
+    moved = dataclasses.replace(held, values=np.full(held.values.size, 0.5))
     for prescribed in (system.prescribed, moved):
         constraints, c = build_constraints(dataclasses.replace(system, prescribed=prescribed))
         friction = constraints.friction
@@ -93,13 +89,7 @@ def test_slip_offset_and_prescribed_displacements_are_on_the_right_hand_side():
 def test_direction_that_prescribed_displacements_decide_has_no_row():
     system = pushed_block()
     nodes = np.concatenate([s.nodes[s.coordinates[:, 1] == 0.0] for s in system.subdomains])
-    given = system.prescribed
-    held = Prescribed(
-        np.append(given.nodes, nodes),
-        np.append(given.components, np.ones(nodes.size, int)),
-        np.append(given.values, np.zeros(nodes.size)),
-    )
-    constraints, _ = build_constraints(dataclasses.replace(system, prescribed=held))
+    constraints, _ = build_constraints(with_prescribed(system, nodes, [1]))
     friction = constraints.friction
     assert np.count_nonzero(~friction.present[:, 1]) == 4
     assert friction.present[:, 0].all()
@@ -180,13 +170,7 @@ def test_rows_of_different_lengths_have_one_scale():
     system = pushed_block()
     lower = system.subdomains[0]
     nodes = lower.nodes[lower.coordinates[:, 2] == 1.0]
-    given = system.prescribed
-    held = Prescribed(
-        np.append(given.nodes, nodes),
-        np.append(given.components, np.ones(nodes.size, dtype=np.int64)),
-        np.append(given.values, np.zeros(nodes.size)),
-    )
-    constraints, _ = build_constraints(dataclasses.replace(system, prescribed=held))
+    constraints, _ = build_constraints(with_prescribed(system, nodes, [1]))
     assert constraints.friction.present.all()
     lengths = np.unique(constraints.coupling.gram.diagonal().round(9))
     np.testing.assert_allclose(lengths, [0.5])

@@ -27,11 +27,11 @@ INTERFACE = Interface.build(sp.csr_matrix(B), CLASSES)
 def test_unknowns_of_a_class_are_those_of_any_member():
     assert [unknowns.tolist() for unknowns in INTERFACE.unknowns] == [[0, 1, 2], [0]]
     assert INTERFACE.columns.tolist() == [0, 1, 2, 5, 6, 7, 3]
-
-
-def test_packed_columns():
     np.testing.assert_array_equal(INTERFACE.matrix.toarray(), B[:, INTERFACE.columns])
     np.testing.assert_array_equal(INTERFACE.transposed.toarray(), B[:, INTERFACE.columns].T)
+    # a rank without subdomains
+    empty = Interface.build(sp.csr_matrix((0, 0)), [])
+    assert empty.blocks(np.zeros(0)) == [] and empty.pack([]).size == 0
 
 
 def test_blocks_have_a_row_for_each_member():
@@ -45,9 +45,3 @@ def test_blocks_have_a_row_for_each_member():
 def test_an_operator_for_each_class():
     result = INTERFACE.apply([lambda rows: rows[:, ::-1], lambda rows: -rows], np.arange(7.0))
     assert result.tolist() == [2.0, 1.0, 0.0, 5.0, 4.0, 3.0, -6.0]
-
-
-def test_rank_without_subdomains():
-    empty = Interface.build(sp.csr_matrix((0, 0)), [])
-    assert empty.blocks(np.zeros(0)) == []
-    assert empty.pack([]).size == 0

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from sparse_rows import clamped, random_rows, two_blocks
-from torn import column, cube
+from torn import column, cube, with_fields, with_prescribed
 
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
@@ -26,22 +26,20 @@ def one_row(slave: int, normal, gap: float = 0.0) -> ContactRows:
 
 CENTRE = 2 * 1000 * 1000 + 2 * 1000 + 2  # the node that all eight cubes share
 
+
+def fixed(component: int, *values: float, node: int = CENTRE) -> Prescribed:
+    return Prescribed(np.full(len(values), node), np.full(len(values), component), values)
+
+
 GLUED = {"glued": eight_cubes(), "glued column": column(contact=False)}
-WITH_OTHER_ROWS = {
+ALL = GLUED | {
     "column": column(),
-    "fixed": eight_cubes(prescribed=Prescribed(np.array([CENTRE]), np.array([1]), np.array([0.5]))),
+    "fixed": eight_cubes(prescribed=fixed(1, 0.5)),
     "contact": eight_cubes(contacts=one_row(CENTRE, (0.6, 0.0, 0.8))),
     "fixed and contact": eight_cubes(
-        prescribed=Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5])),
-        contacts=one_row(CENTRE, (0.6, 0.0, 0.8)),
+        prescribed=fixed(0, 0.5), contacts=one_row(CENTRE, (0.6, 0.0, 0.8))
     ),
 }
-
-
-@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
-def test_rows_are_orthonormal(name):
-    B = build_constraints({**GLUED, **WITH_OTHER_ROWS}[name])[0].matrix.toarray()
-    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), atol=1e-14)
 
 
 def random_weights(system: TornSystem, seed: int) -> np.ndarray:
@@ -50,32 +48,27 @@ def random_weights(system: TornSystem, seed: int) -> np.ndarray:
     return 10.0 ** np.random.default_rng(seed).uniform(-4.0, 0.0, copies)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
-def test_rows_are_orthonormal_in_the_inverse_weights(name, seed):
-    system = {**GLUED, **WITH_OTHER_ROWS}[name]
-    constraints, _ = build_constraints(system, random_weights(system, seed))
-    B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
-    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+@pytest.mark.parametrize("name", ALL)
+def test_rows_are_orthonormal_in_the_inverse_weights(name):
+    system = ALL[name]
+    multiplicity = node_weights(system, "multiplicity").values
+    for weights in (None, multiplicity, *(random_weights(system, seed) for seed in range(3))):
+        constraints, _ = build_constraints(system, weights)
+        B = constraints.matrix.toarray()
+        assert weights is not None or np.all(constraints.weights == 1.0)
+        gram = B / constraints.weights @ B.T
+        np.testing.assert_allclose(gram, np.eye(len(B)), rtol=0.0, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
+@pytest.mark.parametrize("name", ALL)
 def test_weights_keep_the_constraints(name):
     """They combine gluing rows with gluing rows and scale the others by positive numbers."""
-    system = {**GLUED, **WITH_OTHER_ROWS}[name]
-    plain, c = build_constraints(system)
-    weighted, weighted_c = build_constraints(system, random_weights(system, 0))
+    plain, c = build_constraints(ALL[name])
+    weighted, weighted_c = build_constraints(ALL[name], random_weights(ALL[name], 0))
     factor = weighted.contacts.scale / plain.contacts.scale
     assert np.all(factor > 0.0)
     u = np.linalg.lstsq(plain.matrix.toarray(), c, rcond=None)[0]
     np.testing.assert_allclose(weighted.matrix @ u, weighted_c, rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize("name", [*GLUED, *WITH_OTHER_ROWS])
-def test_scaling_by_multiplicity_gives_orthonormal_rows(name):
-    system = {**GLUED, **WITH_OTHER_ROWS}[name]
-    B = build_constraints(system, node_weights(system, "multiplicity").values)[0].matrix.toarray()
-    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("name", GLUED)
@@ -110,45 +103,21 @@ def test_contact_row_is_that_of_the_chapter_on_glued_displacements():
 
 
 def test_prescribed_part_of_a_normal_goes_to_the_gap():
-    system = eight_cubes(
-        prescribed=Prescribed(np.array([CENTRE]), np.array([0]), np.array([0.5])),
-        contacts=one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0),
-    )
-    constraints, c = build_constraints(system)
+    """A row of which it is all is dropped."""
+    rows = one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0)
+    constraints, c = build_constraints(eight_cubes(prescribed=fixed(0, 0.5), contacts=rows))
     gap = c[constraints.inequality] / constraints.contacts.scale
     np.testing.assert_allclose(gap, 1.0 - 0.6 * 0.5)
+    decided = eight_cubes(prescribed=fixed(2, 0.1), contacts=one_row(CENTRE, (0, 0, 1), gap=0.2))
+    assert build_constraints(decided)[0].contacts.own_rows.tolist() == [-1]
 
 
-def test_row_that_prescribed_displacements_decide_is_dropped():
-    system = eight_cubes(
-        prescribed=Prescribed(np.array([CENTRE]), np.array([2]), np.array([0.1])),
-        contacts=one_row(CENTRE, (0, 0, 1), gap=0.2),
-    )
-    assert build_constraints(system)[0].contacts.own_rows.tolist() == [-1]
-
-
-@pytest.mark.parametrize(
-    ("parts", "message"),
-    [
-        (
-            {
-                "prescribed": Prescribed(np.array([CENTRE]), np.array([2]), np.array([0.3])),
-                "contacts": one_row(CENTRE, (0, 0, 1), gap=0.2),
-            },
-            "violate",
-        ),
-        ({"prescribed": Prescribed(np.array([7]), np.array([2]), np.array([0.3]))}, "node 7"),
-        ({"contacts": one_row(7, (0, 0, 1))}, "node 7"),
-        (
-            {
-                "prescribed": Prescribed(
-                    np.array([CENTRE, CENTRE]), np.array([2, 2]), np.array([0.3, 0.1])
-                )
-            },
-            "contradictory",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("parts", "message"), [
+    ({"prescribed": fixed(2, 0.3), "contacts": one_row(CENTRE, (0, 0, 1), 0.2)}, "violate"),
+    ({"prescribed": fixed(2, 0.3, node=7)}, "node 7"),
+    ({"contacts": one_row(7, (0, 0, 1))}, "node 7"),
+    ({"prescribed": fixed(2, 0.3, 0.1)}, "contradictory"),
+])  # fmt: skip
 def test_wrong_input(parts, message):
     with pytest.raises(InputError, match=message):
         build_constraints(eight_cubes(**parts))
@@ -157,12 +126,10 @@ def test_wrong_input(parts, message):
 def both_sides(values, gap: float, size: float = 1.0) -> TornSystem:
     """Return the column with one pair of nodes prescribed in the direction of the normal."""
     system = column()
-    contacts = system.contacts
-    nodes = contacts.nodes[:2]
-    prescribed = Prescribed(nodes, np.array([2, 2]), np.array(values))
+    prescribed = Prescribed(system.contacts.nodes[:2], np.array([2, 2]), np.array(values))
     cubes = [dataclasses.replace(s, coordinates=size * s.coordinates) for s in system.subdomains]
-    contacts = dataclasses.replace(contacts, gap=np.full(contacts.gap.size, gap))
-    return dataclasses.replace(system, subdomains=cubes, prescribed=prescribed, contacts=contacts)
+    system = dataclasses.replace(system, subdomains=cubes, prescribed=prescribed)
+    return with_fields(system, "contacts", gap=np.full(system.contacts.gap.size, gap))
 
 
 @pytest.mark.parametrize(
@@ -194,17 +161,10 @@ def test_rounding_of_prescribed_displacements_violates_nothing(system):
 )
 def test_prescribed_displacements_that_violate_a_condition(system):
     """Whatever moves elsewhere, and however large other gaps are."""
-    moved = system.prescribed
-    far = Prescribed(
-        np.append(moved.nodes, system.subdomains[0].nodes[0]),
-        np.append(moved.components, 0),
-        np.append(moved.values, 0.02),
-    )
-    gap = system.contacts.gap.copy()
-    gap[1:] = 1e10
-    contacts = dataclasses.replace(system.contacts, gap=gap)
+    system = with_prescribed(system, system.subdomains[0].nodes[:1], [0], 0.02)
+    gap = np.append(system.contacts.gap[0], np.full(system.contacts.size - 1, 1e10))
     with pytest.raises(InputError, match="violate 1 contact"):
-        build_constraints(dataclasses.replace(system, prescribed=far, contacts=contacts))
+        build_constraints(with_fields(system, "contacts", gap=gap))
 
 
 def prescribed_twice(one: float, other: float, far: float = 0.02) -> TornSystem:
@@ -228,14 +188,9 @@ def test_contradiction_does_not_depend_on_displacements_elsewhere(one, other):
         build_constraints(prescribed_twice(one, other))
 
 
-def with_gaps(gap: np.ndarray) -> TornSystem:
-    system = column()
-    return dataclasses.replace(system, contacts=dataclasses.replace(system.contacts, gap=gap))
-
-
 def test_infinite_gaps_are_no_rows():
     gap = np.where(np.arange(16) % 3 == 0, np.inf, 0.1)
-    constraints, c = build_constraints(with_gaps(gap))
+    constraints, c = build_constraints(with_fields(column(), "contacts", gap=gap))
     assert constraints.infinite_gaps == 6
     np.testing.assert_array_equal(constraints.contacts.own_rows < 0, np.isinf(gap))
     np.testing.assert_allclose(c[constraints.inequality] / constraints.contacts.scale, 0.1)
@@ -291,14 +246,10 @@ def test_jumps_of_random_rows_are_distances():
     value |= {node: np.zeros(3) for node in system.prescribed.nodes}
     u = np.concatenate([[value[n] for n in s.nodes] for s in system.subdomains]).ravel()
     jump = constraints.matrix @ u
+    contacts, tied = constraints.contacts, constraints.tied
     for rows, own, held, scale in (
-        (
-            system.contacts,
-            constraints.contacts.own_rows,
-            constraints.inequality,
-            constraints.contacts.scale,
-        ),
-        (system.tied, constraints.tied.own_rows, constraints.tied.rows, constraints.tied.scale),
+        (system.contacts, contacts.own_rows, constraints.inequality, contacts.scale),
+        (system.tied, tied.own_rows, tied.rows, tied.scale),
     ):
         terms = np.sum(rows.coefficients * [value[n] for n in rows.nodes], axis=1)
         distance = np.add.reduceat(terms, rows.offsets[:-1]) / rows.length

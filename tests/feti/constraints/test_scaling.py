@@ -27,13 +27,12 @@ def cubes(*factors: float) -> TornSystem:
 DIAGONAL = cube(1).stiffness.diagonal()[0]
 
 
-def test_multiplicity_gives_ones():
-    assert node_weights(cubes(1.0, 1e-3), "multiplicity").values.tolist() == [1.0] * 16
-
-
 def test_stiffness_is_relative_to_the_largest():
     weights = node_weights(cubes(5.0, 0.5, 5e-4), "stiffness").values
     np.testing.assert_allclose(weights, np.repeat([1.0, 0.1, 1e-4], 8), rtol=1e-14)
+    assert node_weights(cubes(1.0, 1e-3), "multiplicity").values.tolist() == [1.0] * 16
+    # a rank without subdomains
+    assert node_weights(cubes(), "stiffness").values.size == 0
 
 
 def test_stiffness_is_the_mean_over_the_components():
@@ -60,7 +59,3 @@ def test_stiffness_of_a_weight():
     system = cubes(4.0, 2.0)
     assert node_weights(system, "stiffness").unit == pytest.approx(4 * DIAGONAL, rel=1e-14)
     assert node_weights(system, "multiplicity").unit == pytest.approx(3 * DIAGONAL, rel=1e-14)
-
-
-def test_rank_without_subdomains():
-    assert node_weights(cubes(), "stiffness").values.size == 0

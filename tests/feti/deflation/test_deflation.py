@@ -51,38 +51,30 @@ def columns_of(operator: Any, size: int) -> np.ndarray:
 
 
 @every_gdim
-def test_directions_satisfy_the_constraints(gdim):
+def test_deflated_operator_is_the_schur_complement(gdim):
     torn, _ = solver(gdim)
-    U, constraints = directions(gdim), torn.setup.constraints
-    G = DenseSystem.of(torn).G
+    system, U, constraints = DenseSystem.of(torn), directions(gdim), torn.setup.constraints
+    # U satisfies the constraints
     assert not U[constraints.inequality].any()
-    np.testing.assert_allclose(G @ U, 0.0, atol=1e-12 * np.abs(G).max() * np.abs(U).max())
-
-
-def test_deflated_operator_is_the_schur_complement():
-    torn, _ = solver(2)
-    system, U = DenseSystem.of(torn), directions(2)
-    P = system.projector()
+    largest = np.abs(system.G).max() * np.abs(U).max()
+    np.testing.assert_allclose(system.G @ U, 0.0, atol=1e-12 * largest)
+    P, F = system.projector(), system.F
     # U'F depends on the generalized inverse by rigid motions only, which P removes
-    FU = system.F @ U
-    exact = P @ (system.F - FU @ np.linalg.solve(U.T @ FU, FU.T)) @ P
+    FU = F @ U
+    exact = P @ (F - FU @ np.linalg.solve(U.T @ FU, FU.T)) @ P
     found = P @ columns_of(torn.setup.part, len(P)) @ P
-    np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-10 * np.abs(system.F).max())
+    np.testing.assert_allclose(found, exact, rtol=0.0, atol=1e-10 * np.abs(F).max())
+    largest = np.linalg.eigvalsh(0.5 * (found + found.T))[-1]
+    assert 0.9 * largest <= torn.setup.norm(30) <= 1.3 * largest
+    assert largest <= 0.1 * np.linalg.eigvalsh(P @ F @ P)[-1]
 
 
 @every_gdim
-def test_deflated_operator_vanishes_on_the_directions(gdim):
+def test_deflated_operator_and_load_vanish_on_the_directions(gdim):
     torn, _ = solver(gdim)
     U = directions(gdim)
-    F = torn.setup.F
-    before, after = (np.stack([f(u) for u in U.T]) for f in (F.part, torn.setup.part))
+    before, after = (np.stack([f(u) for u in U.T]) for f in (torn.setup.F.part, torn.setup.part))
     assert np.abs(after).max() <= 1e-10 * np.abs(before).max()
-
-
-@every_gdim
-def test_deflated_load_does_no_work_on_the_directions(gdim):
-    torn, _ = solver(gdim)
-    U = directions(gdim)
     d = np.random.default_rng(0).standard_normal(len(U))
     # as F is larger on U than elsewhere, so is what rounding leaves
     assert np.abs(U.T @ torn.setup.reduced(d)).max() <= 1e-8 * np.abs(U.T @ d).max()
@@ -101,17 +93,6 @@ def test_completed_multipliers_have_no_residual_on_the_directions(gdim):
     # and they differ by the directions only
     rest = full - given - U @ np.linalg.lstsq(U, full - given, rcond=None)[0]
     assert np.abs(rest).max() <= 1e-9 * np.abs(full - given).max()
-
-
-@every_gdim
-def test_norm_is_that_of_the_deflated_operator(gdim):
-    torn, _ = solver(gdim)
-    system = DenseSystem.of(torn)
-    P = system.projector()
-    deflated = P @ columns_of(torn.setup.part, len(P)) @ P
-    largest = np.linalg.eigvalsh(0.5 * (deflated + deflated.T))[-1]
-    assert 0.9 * largest <= torn.setup.norm(30) <= 1.3 * largest
-    assert largest <= 0.1 * np.linalg.eigvalsh(P @ system.F @ P)[-1]
 
 
 @lru_cache(maxsize=None)
@@ -159,18 +140,12 @@ def test_products_do_not_depend_on_the_material(gdim, ratio, preconditioner, met
     assert plain.products["total"] > 1.5 * jumping.products["total"]
 
 
-@pytest.mark.parametrize("kind", ["auto", "on"])
-@every_gdim
-def test_uniform_material_gives_no_vectors(gdim, kind):
-    report = solved(gdim, 1.0, deflation=kind).report
+@pytest.mark.parametrize("gdim", [2, 3])
+@pytest.mark.parametrize(("ratio", "kind"), [(1.0, "auto"), (1.0, "on"), (1e4, "off")])
+def test_uniform_material_gives_no_vectors_and_off_means_off(gdim, ratio, kind):
+    report = solved(gdim, ratio, deflation=kind).report
     assert report.deflation == {"vectors": 0, "bytes": 0, "negative": 0}
     assert (report.products["deflation"] > 0) == (kind == "on")
-
-
-def test_off_means_off():
-    report = solved(2, 1e4, deflation="off").report
-    assert report.deflation == {"vectors": 0, "bytes": 0, "negative": 0}
-    assert report.products["deflation"] == 0
 
 
 def test_without_weights_of_stiffness_only_if_it_is_asked_for():

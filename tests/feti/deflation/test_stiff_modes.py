@@ -33,29 +33,28 @@ def stiff(weights):
     return S, theta, StiffModes.build(lambda u: u @ S, weights, x)
 
 
-def test_modes_are_those_of_dense_algebra(stiff):
-    _, theta, modes = stiff
-    np.testing.assert_allclose(modes.values, theta[:-13:-1], rtol=1e-8)
-
-
-def test_capped_stiffness_has_no_larger_eigenvalue(stiff, weights):
+def test_modes_are_those_of_dense_algebra(stiff, weights):
+    """The capped stiffness has no larger eigenvalue; the deflated vector is in their span."""
     S, theta, modes = stiff
+    np.testing.assert_allclose(modes.values, theta[:-13:-1], rtol=1e-8)
     capped = modes.capped(lambda u: u @ S)(np.identity(SIZE))
     found = np.linalg.eigvalsh(capped / np.sqrt(np.outer(weights, weights)))
     np.testing.assert_allclose(found, np.minimum(theta, CAP), atol=1e-9 * theta.max())
-
-
-def test_deflated_vector_is_in_the_span_of_the_modes(stiff):
-    _, _, modes = stiff
-    span = modes.vectors / modes.root[:, None]
-    vector = modes.deflated
+    span, vector = modes.vectors / modes.root[:, None], modes.deflated
     residual = vector - span @ np.linalg.lstsq(span, vector, rcond=None)[0]
     assert np.abs(residual).max() < 1e-9 * np.abs(vector).max()
 
 
-def test_no_modes_without_large_eigenvalues(weights):
-    S = with_eigenvalues(np.linspace(0.0, 0.9 * CAP, SIZE), weights)
-    products = []
+@pytest.mark.parametrize(
+    ("theta", "few"),
+    [
+        (np.linspace(0.0, 0.9 * CAP, SIZE), 31),
+        (np.append(np.linspace(0.0, 3.0, 40), np.geomspace(5e4, 2e5, SIZE - 40)), SIZE),
+    ],
+    ids=["no large eigenvalues", "displacements that lock: many, not all of which are found"],
+)
+def test_no_modes(weights, theta, few):
+    S, products = with_eigenvalues(theta, weights), []
 
     def reaction(u):
         products.append(len(u))
@@ -64,12 +63,4 @@ def test_no_modes_without_large_eigenvalues(weights):
     modes = StiffModes.build(reaction, weights, np.ones(SIZE))
     assert not modes.values.size
     assert not modes.deflated.any()
-    assert sum(products) <= 31
-
-
-def test_no_modes_of_displacements_that_lock(weights):
-    """A large part of all eigenvalues is stiff: these of the Lanczos method are not all."""
-    theta = np.append(np.linspace(0.0, 3.0, 40), np.geomspace(5e4, 2e5, SIZE - 40))
-    S = with_eigenvalues(theta, weights)
-    modes = StiffModes.build(lambda u: u @ S, weights, np.ones(SIZE))
-    assert not modes.values.size
+    assert sum(products) <= few
