@@ -33,18 +33,14 @@ def test_inverse_on_a_face(active, compliance):
     assert projector.P(solve(part)) == pytest.approx(x, abs=1e-9 * np.abs(x).max())
 
 
-def test_direct_from_the_time_of_a_factor_on():
-    """Of all two blocks, which are in contact."""
+def test_direct_from_the_time_of_a_factor_on(monkeypatch):
+    """Of all two blocks, which are in contact; many unknowns are left to conjugate gradients."""
     preconditioner = TornSolver(column(height=1), Options()).setup.preconditioner
     steps = preconditioner.direct.patience
     assert 40 < steps < np.inf
-    assert not preconditioner.becomes_direct(int(steps))
-    assert not preconditioner.is_direct
-    assert preconditioner.becomes_direct(int(steps) + 1)
-    assert preconditioner.is_direct
-
-
-def test_many_unknowns_are_left_to_conjugate_gradients(monkeypatch):
+    for products, direct in ((int(steps), False), (int(steps) + 1, True)):
+        assert preconditioner.becomes_direct(products) == direct
+        assert preconditioner.is_direct == direct
     monkeypatch.setattr(direct_faces, "_MOST", 10)
     preconditioner = TornSolver(column(height=1), Options()).setup.preconditioner
     assert not preconditioner.becomes_direct(10**9)

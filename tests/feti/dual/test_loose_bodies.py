@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from torn import column, cube
+from torn import column, cube, node_rows
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -21,34 +21,28 @@ def with_loose_cubes(clearance: float, shifts: np.ndarray) -> TornSystem:
 
     The walls of a box are `clearance` away from a cube that is shifted by -shift.
     """
-    system, rows = column(n=2), column(n=2).contacts
-    number = len(shifts)
-    first = [2 * 10**9 + k * 10**8 for k in range(number)]
-    cubes = [cube(2, (3 * k + 3, 0, 0), 2 + k, at) for k, at in enumerate(first)]
-    slaves, normals, gaps = [], [], []
-    for loose, shift in zip(cubes, shifts, strict=True):
-        middle = loose.coordinates.mean(axis=0)
+    system = column(n=2)
+    rows, cubes = [system.contacts], []
+    for k, shift in enumerate(shifts):
+        loose = cube(2, (3 * k + 3, 0, 0), 2 + k, 2 * 10**9 + k * 10**8)
+        cubes.append(loose)
+        x = loose.coordinates - loose.coordinates.mean(axis=0)
         for outwards in WALLS:
-            on_side = (loose.coordinates - middle) @ outwards > 0.49
-            slaves.append(loose.nodes[on_side])
-            normals.append(np.tile(outwards, (slaves[-1].size, 1)))
-            gaps.append(np.full(slaves[-1].size, clearance + outwards @ shift))
-    k = rows.gap.size
-    slave = np.concatenate([rows.slave, *slaves])
-    contacts = ContactRows.node_to_node(
-        slave,
-        np.concatenate([rows.nodes.reshape(-1, 2)[:, 1], np.full(slave.size - k, -1)]),
-        np.concatenate([rows.coefficients[::2], *normals]),
-        np.concatenate([rows.gap, *gaps]),
-        (np.arange(slave.size) >= k).astype(np.int64),
-    )
+            on_side = loose.nodes[x @ outwards > 0.49]
+            rows.append(node_rows(on_side, outwards, gap=clearance + outwards @ shift, contact=1))
     return replace(
         system,
         subdomains=[*system.subdomains, *cubes],
-        contacts=contacts,
+        contacts=ContactRows.concatenate(rows),
         body_names=(),
         contact_names=("joint", "walls"),
     )
+
+
+def face_of(problem, active: np.ndarray) -> Face:
+    """Return the face of no multipliers with these active rows."""
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
+    return Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
 
 
 SHIFTS = np.array([[0.2, -0.1, 0.05], [-0.02, 0.0, 0.3], [0.0, 0.1, 0.0]])
@@ -71,9 +65,7 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     solver = TornSolver(with_loose_cubes(-0.01, SHIFTS))
     problem = solver.dual_problem()
     coarse_space, rows = problem.coarse_space, problem.constraints.inequality
-    none = np.zeros(rows.size, dtype=bool)
-    contact_state = ContactState.of(problem, np.zeros_like(problem.d), none)
-    face = Face.build(problem, contact_state, Projector.build(coarse_space, none))
+    face = face_of(problem, np.zeros(rows.size, dtype=bool))
     assert face.loose is not None
     settled = face.loose.at_least_penetration(problem.c)
     contact = problem.constraints.contacts.contact
@@ -106,27 +98,22 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     active = np.zeros(rows.size, dtype=bool)
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True
-    projector = Projector.build(problem.coarse_space, active | (contact == 0))
-    contact_state = ContactState.of(problem, np.zeros(size), active | (contact == 0))
-    face = Face.build(problem, contact_state, projector)
+    face = face_of(problem, active | (contact == 0))
     multipliers, gradient = np.zeros(size), problem.c.copy()
     multipliers[rows] = np.where(active, force, 1.0)
     # they touch the first wall, and the whole play is at the opposite one
     lengths = problem.constraints.row_lengths[rows]
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
-    nothing = PCPGIterate(contact_state, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ())
+    nothing = PCPGIterate(
+        face.contact_state, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ()
+    )
     sign_test_gradient = _without_tensile_rows(problem, face, nothing)
     penetrated = (sign_test_gradient[rows] < 0.0) & (contact == 1) & ~active
     assert penetrated.any() == holds
 
 
 def test_faces_that_hold_all_bodies_have_none():
-    solver = TornSolver(column(n=2))
-    problem = solver.dual_problem()
+    problem = TornSolver(column(n=2)).dual_problem()
     every = np.ones(problem.constraints.inequality.size, dtype=bool)
-    contact_state = ContactState.of(problem, np.zeros_like(problem.d), every)
-    assert (
-        Face.build(problem, contact_state, Projector.build(problem.coarse_space, every)).loose
-        is None
-    )
+    assert face_of(problem, every).loose is None

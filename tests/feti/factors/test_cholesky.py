@@ -42,27 +42,14 @@ def test_complex_numbers_are_refused():
 
 
 @each_package
-def test_one_right_hand_side(package):
-    A, b = definite(), np.random.default_rng(1).standard_normal(N)
-    x = SparseCholesky(A, package).solve(b)
-    np.testing.assert_allclose(x, np.linalg.solve(A.toarray(), b), rtol=1e-12)
-
-
-@each_package
-@pytest.mark.parametrize("columns", [1, 3, 64, 65, 130])
-def test_many_right_hand_sides(package, columns):
-    A, b = definite(), np.random.default_rng(1).standard_normal((N, columns))
-    x = SparseCholesky(A, package).solve(b)
-    np.testing.assert_allclose(x, np.linalg.solve(A.toarray(), b), rtol=0.0, atol=1e-12)
-
-
-@each_package
-def test_solutions_are_not_overwritten_by_the_next(package):
-    factor = SparseCholesky(definite(), package)
-    first = factor.solve(np.ones(N))
-    kept = first.copy()
+@pytest.mark.parametrize("columns", [(), 1, 3, 64, 65, 130])
+def test_right_hand_sides(package, columns):
+    """Solutions are not overwritten by the next."""
+    A, b = definite(), np.random.default_rng(1).standard_normal((N, *np.atleast_1d(columns)))
+    factor = SparseCholesky(A, package)
+    x = factor.solve(b)
     factor.solve(np.zeros(N))
-    np.testing.assert_array_equal(first, kept)
+    np.testing.assert_allclose(x, np.linalg.solve(A.toarray(), b), rtol=0.0, atol=1e-12)
 
 
 @each_package
@@ -76,28 +63,25 @@ def test_factor_of_a_tridiagonal_matrix_has_little_fill(package):
 @each_package
 @pytest.mark.parametrize(
     "matrix",
-    [-definite(), sp.diags(np.arange(N, dtype=float), format="csr"), definite() * np.nan],
-    ids=["negative definite", "singular", "not a number"],
+    [
+        -definite(),
+        sp.diags(np.arange(N, dtype=float), format="csr"),
+        definite() * np.nan,
+        sp.csr_matrix(np.ones((200, 200)) - 0.5 * np.eye(200)),
+    ],
+    ids=["negative definite", "singular", "not a number", "dense"],
 )
-def test_matrix_that_is_not_positive_definite_is_refused(package, matrix):
-    with pytest.raises(FactorizationError, match="of order 40 is not positive definite"):
+def test_matrix_that_is_not_positive_definite_is_refused(package, matrix, capfd):
+    """Nothing is printed, though CHOLMOD's supernodal factor would tell by a line of its own."""
+    message = f"of order {matrix.shape[0]} is not positive definite"
+    with pytest.raises(FactorizationError, match=message):
         SparseCholesky(matrix, package)
-
-
-@each_package
-def test_refusal_of_a_dense_matrix_prints_nothing(package, capfd):
-    """CHOLMOD's supernodal factor would tell by a line of its own."""
-    with pytest.raises(FactorizationError):
-        SparseCholesky(sp.csr_matrix(np.ones((200, 200)) - 0.5 * np.eye(200)), package)
     assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.parametrize("package", [p for p in available_packages() if p != "cholmod"])
-def test_one_negative_eigenvalue_of_many_is_found(package):
-    """PETSc's CHOLMOD factors small matrices as LDL' and does not tell the signs of D."""
-    A = sp.diags(np.where(np.arange(N) == N // 2, -1.0, 1e3), format="csr")
-    with pytest.raises(FactorizationError, match="1 negative"):
-        SparseCholesky(A, package)
+    if package != "cholmod":
+        # PETSc's CHOLMOD factors small matrices as LDL' and does not tell the signs of D
+        A = sp.diags(np.where(np.arange(N) == N // 2, -1.0, 1e3), format="csr")
+        with pytest.raises(FactorizationError, match="1 negative"):
+            SparseCholesky(A, package)
 
 
 def laplacian(n: int) -> sp.csr_matrix:
@@ -134,6 +118,17 @@ def test_auto_makes_more_factors_than_mpi_has_communicators():
     np.testing.assert_array_equal(factors[-1].solve(b), factors[0].solve(b))
 
 
+@pytest.mark.parametrize(("package", "available", "message"), [
+    ("auto", [], "'auto'.*neither CHOLMOD nor"),
+    ("mumps", [], "'mumps'.*neither CHOLMOD nor"),
+    ("mumps", ["cholmod"], r"'mumps'; available are \['cholmod'\]"),
+])  # fmt: skip
+def test_package_that_is_not_installed(package, available, message):
+    with pytest.raises(FactorizationError, match=message):
+        choose_package(package, available=available)
+    assert choose_package("auto") == available_packages()[0]
+
+
 @pytest.mark.skipif("MPICH" not in MPI.Get_library_version(), reason="Open MPI has no such limit")
 def test_mumps_stops_before_communicators_run_out_and_goes_on_when_there_are_some():
     A, b = definite(), np.ones(N)
@@ -144,21 +139,6 @@ def test_mumps_stops_before_communicators_run_out_and_goes_on_when_there_are_som
     last = factors.pop().solve(b)
     factors.clear()
     np.testing.assert_array_equal(SparseCholesky(A, "mumps").solve(b), last)
-
-
-def test_auto_takes_the_first_package():
-    assert choose_package("auto") == available_packages()[0]
-
-
-@pytest.mark.parametrize("package", ["auto", "mumps"])
-def test_package_that_is_not_installed(package):
-    with pytest.raises(FactorizationError, match=f"'{package}'.*neither CHOLMOD nor"):
-        choose_package(package, available=[])
-
-
-def test_other_packages_are_named():
-    with pytest.raises(FactorizationError, match=r"'mumps'; available are \['cholmod'\]"):
-        choose_package("mumps", available=["cholmod"])
 
 
 @pytest.mark.skipif("mumps" not in available_packages(), reason="this PETSc has no MUMPS")
@@ -262,15 +242,12 @@ def test_downdated_factor_has_the_inertia(negative, columns):
 
 
 @compiled
-def test_too_many_negative_eigenvalues_are_not_downdated():
-    with pytest.raises(FactorizationError, match="a pivot is not positive"):
-        DowndatedCholesky(indefinite(20), np.zeros((N, 0)), "cholmod")
-
-
-@compiled
-def test_singular_matrix_is_not_downdated():
-    A, U = sp.identity(N, format="csr"), np.eye(N, 1)
-    with pytest.raises(FactorizationError, match=r"downdated .* failed"):
+@pytest.mark.parametrize(("A", "U", "message"), [
+    (indefinite(20), np.zeros((N, 0)), "a pivot is not positive"),
+    (sp.identity(N, format="csr"), np.eye(N, 1), "downdated .* failed"),
+], ids=["many negative eigenvalues", "singular"])  # fmt: skip
+def test_what_is_not_downdated(A, U, message):
+    with pytest.raises(FactorizationError, match=message):
         DowndatedCholesky(A, U, "cholmod")
 
 

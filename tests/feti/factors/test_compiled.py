@@ -118,7 +118,4 @@ def test_declarations_of_another_version_are_a_reason(new_cache, tmp_path, monke
 def test_solves_are_compiled_here():
     """CHOLMOD's declarations come with dolfinx wherever PETSc has CHOLMOD."""
     assert describe_package("cholmod") == "cholmod, compiled solves"
-
-
-def test_other_packages_solve_themselves():
     assert describe_package("mumps") == "mumps"
