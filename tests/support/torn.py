@@ -10,6 +10,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
+from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face
+from fenics_tfeti.feti.dual.problem import DualProblem
 
 YOUNG, POISSON = 1.0, 0.3
 
@@ -123,6 +126,12 @@ def matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
     columns = gdim * np.searchsorted(nodes, rows.nodes)[:, None] + np.arange(gdim)
     np.add.at(C, (rows.row[:, None], columns), rows.coefficients)
     return C
+
+
+def face_of(problem: DualProblem, active: np.ndarray) -> Face:
+    """Return the face of no multipliers with these active contact rows."""
+    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
+    return Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
 
 
 @dataclass

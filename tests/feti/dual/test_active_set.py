@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from friction_problems import pushed_block
 from scipy.optimize import nnls
-from torn import column, with_fields
+from torn import column, face_of, with_fields
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti import (
@@ -104,12 +104,6 @@ def exact_guess(system: TornSystem, options: Options) -> ContactGuess:
 
 
 WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
-
-
-def face_of(problem, active: np.ndarray) -> Face:
-    """Return the face of no multipliers with these active rows."""
-    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
-    return Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
 
 
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:

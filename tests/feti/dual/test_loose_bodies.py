@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from torn import column, cube, node_rows
+from torn import column, cube, face_of, node_rows
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
-from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _without_tensile_rows
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 
 pytestmark = pytest.mark.once
 
@@ -37,12 +36,6 @@ def with_loose_cubes(clearance: float, shifts: np.ndarray) -> TornSystem:
         body_names=(),
         contact_names=("joint", "walls"),
     )
-
-
-def face_of(problem, active: np.ndarray) -> Face:
-    """Return the face of no multipliers with these active rows."""
-    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
-    return Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
 
 
 SHIFTS = np.array([[0.2, -0.1, 0.05], [-0.02, 0.0, 0.3], [0.0, 0.1, 0.0]])

@@ -29,21 +29,18 @@ def read(path, name, kind="numbers", shape=(None,)):
 
 
 def test_arrays_are_the_same(path):
+    """Numpy reads what is written, and what it writes is read."""
     arrays = {"a/b": np.arange(3), "c": np.array([[0.5, np.inf]]), "d": np.array(["x", "yz"])}
     write_arrays(path, "the test", KIND, arrays)
-    with open_arrays(path, KIND) as file:
-        assert file.names == {"a/b", "c", "d"}
-        np.testing.assert_array_equal(file.read("a/b", "integers", (3,)), [0, 1, 2])
-        np.testing.assert_array_equal(file.read("c", "numbers", (None, 2)), [[0.5, np.inf]])
-        assert file.strings("d") == ["x", "yz"]
-        assert file.strings("e") == []
-
-
-def test_numpy_reads_what_is_written_and_writes_what_is_read(path):
-    write(path, a=np.arange(3.0))
-    assert dict(np.load(path)).keys() == {"format", "a"}
-    np.savez_compressed(path, format=np.array(KIND), a=np.arange(4.0))
-    assert read(path, "a").tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert dict(np.load(path)).keys() == {"format", "a/b", "c", "d"}
+    for _ in range(2):
+        with open_arrays(path, KIND) as file:
+            assert file.names == {"a/b", "c", "d"}
+            np.testing.assert_array_equal(file.read("a/b", "integers", (3,)), [0, 1, 2])
+            np.testing.assert_array_equal(file.read("c", "numbers", (None, 2)), [[0.5, np.inf]])
+            assert file.strings("d") == ["x", "yz"]
+            assert file.strings("e") == []
+        np.savez_compressed(path, format=np.array(KIND), **arrays)
 
 
 @pytest.mark.parametrize(
@@ -64,11 +61,17 @@ def test_wrong_array_is_named(path, name, kind, shape, message):
 
 
 def test_other_formats_are_refused(path):
+    with pytest.raises(FileNotFoundError):
+        read(path, "a")
     write_arrays(path, "the test", "another 7", {"a": np.zeros(1)})
     with pytest.raises(InputError, match="the format is 'another 7', expected 'test 1'"):
         read(path, "a")
     np.savez(path, a=np.zeros(1))
     with pytest.raises(InputError, match="'format' is missing"):
+        read(path, "a")
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("format.npy", b"fenics_tfeti")
+    with pytest.raises(InputError, match="'format' is damaged"):
         read(path, "a")
     for content in (b"", b"no archive", np.arange(9.0).tobytes()):
         path.write_bytes(content)
@@ -76,18 +79,13 @@ def test_other_formats_are_refused(path):
             read(path, "a")
 
 
-def test_file_that_is_cut_off_is_refused(path):
+def test_file_that_is_cut_off_or_changed_is_refused(path):
     write(path, a=np.arange(1000.0))
-    whole = path.read_bytes()
+    whole = bytearray(path.read_bytes())
     for length in (len(whole) - 1, len(whole) // 2, 40):
         path.write_bytes(whole[:length])
         with pytest.raises(InputError, match="cut off"):
             read(path, "a")
-
-
-def test_changed_byte_is_found(path):
-    write(path, a=np.arange(1000.0))
-    whole = bytearray(path.read_bytes())
     # in the numbers, and in the array's own header
     for at in (len(whole) // 2, whole.rindex(b"descr")):
         changed = whole.copy()
@@ -102,18 +100,6 @@ def test_objects_are_neither_written_nor_read(path):
         write(path, a=np.array([{}]))
     np.savez(path, format=np.array(KIND), a=np.array([{}]))
     with pytest.raises(InputError, match="'a' is damaged: Object arrays"):
-        read(path, "a")
-
-
-def test_entry_that_is_no_array_is_refused(path):
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("format.npy", b"fenics_tfeti")
-    with pytest.raises(InputError, match="'format' is damaged"):
-        read(path, "a")
-
-
-def test_missing_file_is_an_error_of_the_system(path):
-    with pytest.raises(FileNotFoundError):
         read(path, "a")
 
 

@@ -12,6 +12,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from sparse_rows import distributed
 from torn import column
 
 from fenics_tfeti import InputError
@@ -19,7 +20,6 @@ from fenics_tfeti.feti import (
     ContactRows,
     Friction,
     Options,
-    Prescribed,
     TornSolver,
     TornSystem,
     load_system,
@@ -28,6 +28,7 @@ from fenics_tfeti.feti import (
 from fenics_tfeti.feti.__main__ import main
 
 COMM = MPI.COMM_WORLD
+DISTRIBUTED = distributed(column(height=3), COMM)
 
 
 @pytest.fixture
@@ -106,38 +107,18 @@ def test_shared_matrices_stay_shared(path):
     assert sum("matrices" in name for name in np.load(path).files) == 3
 
 
-def test_optional_arrays_may_be_left_out(path):
-    save_system(path, column(n=2))
-    arrays = dict(np.load(path))
-    for name in list(arrays):
-        if name.startswith(("tied/", "friction/", "names/")) or name in ("contacts/slaves",):
-            del arrays[name]
-    del arrays["prescribed/condition"]
+@pytest.mark.parametrize("contact", [True, False])
+def test_optional_arrays_may_be_left_out(path, contact):
+    save_system(path, column(n=2, contact=contact))
+    left_out = ("tied/", "friction/", "names/", "prescribed/condition")
+    if not contact:
+        left_out += ("contacts/", "prescribed/")
+    arrays = {n: a for n, a in np.load(path).items() if not n.startswith(left_out)}
     np.savez(path, **arrays)
     system = load_system(path)
     assert system.body_names == [] and system.tied.size == 0
-    assert TornSolver(system).solve().report.converged
-
-
-def test_friction_at_a_row_that_is_not_there(path):
-    save_system(path, everything())
-    arrays = dict(np.load(path))
-    arrays["friction/row"] = arrays["friction/row"] + 4
-    np.savez(path, **arrays)
-    with pytest.raises(InputError, match="'friction/row' has 10, but there are 9 contact rows"):
-        load_system(path)
-
-
-def test_no_contact_and_no_support(path):
-    save_system(path, column(n=2, contact=False))
-    arrays = {
-        name: array
-        for name, array in np.load(path).items()
-        if not name.startswith(("contacts/", "prescribed/"))
-    }
-    np.savez(path, **arrays)
-    system = load_system(path)
-    assert system.contacts.size == 0 and system.prescribed.nodes.size == 0
+    assert bool(system.contacts.size) == bool(system.prescribed.nodes.size) == contact
+    assert not contact or TornSolver(system).solve().report.converged
 
 
 WRONG = [
@@ -151,6 +132,7 @@ WRONG = [
     ("matrices/0/data", np.zeros(2), "'matrices/0/data' has shape"),
     ("matrices/0/indptr", np.arange(82)[::-1].copy(), "'matrices/0' is not a csr matrix"),
     ("contacts/offsets", np.zeros(10, dtype=int), "'contacts/offsets' has to begin with 0"),
+    ("friction/row", np.arange(4, 14, 2), "'friction/row' has 10, but there are 9 contact rows"),
     ("contacts/gaps", np.zeros(9), "no array 'contacts/gaps' .* mean 'contacts/gap'"),
     ("subdomains/x/load", np.zeros(9), "no array 'subdomains/x/load'"),
     ("names/bodies", np.arange(2), "'names/bodies' is of type int64, expected strings"),
@@ -160,7 +142,7 @@ WRONG = [
 
 @pytest.mark.parametrize(("name", "value", "message"), WRONG)
 def test_wrong_array_is_named(path, name, value, message):
-    save_system(path, column(n=2))
+    save_system(path, everything())
     arrays = dict(np.load(path))
     arrays.pop(name, None)
     if value is not None:
@@ -190,22 +172,10 @@ def folder():
         shutil.rmtree(path)
 
 
-def distributed():
-    """Return the column with its subdomains on the ranks in turn, all rows on the last rank."""
-    whole, last = column(height=3), COMM.rank == COMM.size - 1
-    return replace(
-        whole,
-        subdomains=whole.subdomains[COMM.rank :: COMM.size],
-        contacts=whole.contacts if last else ContactRows.none(3),
-        prescribed=whole.prescribed if COMM.rank == 0 else Prescribed(),
-        comm=COMM,
-    )
-
-
 @pytest.mark.ranks(2)
 def test_file_of_many_ranks_read_by_one_and_by_many(folder):
     exact = TornSolver(column(height=3), Options(rtol=1e-9)).solve().report
-    save_system(folder / "system.npz", distributed())
+    save_system(folder / "system.npz", DISTRIBUTED)
     COMM.barrier()
     for comm in (MPI.COMM_SELF, COMM):
         system = load_system(folder / "system.npz", comm)
@@ -222,7 +192,7 @@ def test_file_of_many_ranks_read_by_one_and_by_many(folder):
 @pytest.mark.ranks(2)
 def test_errors_reach_all_ranks(folder):
     with pytest.raises(OSError, match="torn system cannot be written"):
-        save_system(folder / "missing" / "system.npz", distributed())
+        save_system(folder / "missing" / "system.npz", DISTRIBUTED)
     with pytest.raises(FileNotFoundError):
         load_system(folder / "system.npz", COMM)
     # too few subdomains for the last rank to read any: the error is that of another one
@@ -239,7 +209,7 @@ def test_errors_reach_all_ranks(folder):
 
 @pytest.mark.ranks(2)
 def test_command(folder, capfd):
-    save_system(folder / "system.npz", distributed())
+    save_system(folder / "system.npz", DISTRIBUTED)
     COMM.barrier()
     command = [str(folder / "system.npz"), "--rtol", "1e-9"]
     assert main([*command, "--solution", str(folder / "solution.npz")], COMM) == 0

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,48 +31,41 @@ def members(subdomains) -> list[list[int]]:
     return [congruent.members.tolist() for congruent in find_congruence_classes(subdomains)]
 
 
-def changed(subdomain, **parts):
-    return dataclasses.replace(subdomain, **parts)
+def softer(size: float):
+    return replace(cube(2), stiffness=cube(2).stiffness * (1.0 - size))
 
 
-def test_cubes_assembled_one_by_one_are_congruent():
-    assert members([cube(2), cube(2, (1, 0, 0)), cube(2, (5, 3, 7))]) == [[0, 1, 2]]
-
-
-def test_cubes_of_other_meshes_are_not():
-    assert members([cube(2), cube(3), cube(2), cube(3)]) == [[0, 2], [1, 3]]
-
-
-@pytest.mark.parametrize("size", [1e-12, 1e-6, 0.5])
-def test_a_softer_cube_stands_alone(size):
-    soft = cube(2)
-    soft = changed(soft, stiffness=soft.stiffness * (1.0 - 10 * size if size < 0.1 else size))
-    assert members([cube(2), soft, cube(2)]) == [[0, 2], [1]]
-
-
-def test_a_soft_spring_is_enough():
-    assert members([cube(2), on_springs(cube(2), 0.0, 1e-13), cube(2)]) == [[0, 2], [1]]
-
-
-def test_an_entry_that_differs_is_enough():
+def with_another(part: str, entry: int, factor: float, shift: float):
+    """Return a cube with another entry of the stiffness or place of a node."""
     other = cube(2)
-    K = other.stiffness.copy()
-    K.data[7] *= 1.0 + 1e-9
-    assert members([cube(2), changed(other, stiffness=K)]) == [[0], [1]]
-
-
-def test_the_same_stiffness_on_another_shape_is_not_congruent():
-    """Its rigid rotations are others."""
-    bent = cube(2)
-    points = bent.coordinates.copy()
-    points[-1] += 1e-6
-    assert members([cube(2), changed(bent, coordinates=points)]) == [[0], [1]]
+    K, x = other.stiffness.copy(), other.coordinates.copy()
+    values = K.data if part == "stiffness" else x.reshape(-1)
+    values[entry] = factor * values[entry] + shift
+    return replace(other, stiffness=K, coordinates=x)
 
 
 def turned(subdomain, seed):
     """Return the subdomain rotated or mirrored about the origin, in the frame of the given one."""
     turn = ortho_group.rvs(3, random_state=seed)
-    return changed(subdomain, coordinates=subdomain.coordinates @ turn.T, frame=turn)
+    return replace(subdomain, coordinates=subdomain.coordinates @ turn.T, frame=turn)
+
+
+@pytest.mark.parametrize(("parts", "expected"), [
+    ([cube(2), cube(2, (1, 0, 0)), cube(2, (5, 3, 7))], [[0, 1, 2]]),
+    ([cube(2), cube(3), cube(2), cube(3)], [[0, 2], [1, 3]]),
+    # loads and numbers do not matter
+    ([cube(2), cube(2, load=(1, 2, 3), body=4, first=99)], [[0, 1]]),
+    *(([cube(2), softer(size), cube(2)], [[0, 2], [1]]) for size in (1e-11, 1e-5, 0.5)),
+    # a soft spring is enough, and so is an entry
+    ([cube(2), on_springs(cube(2), 0.0, 1e-13), cube(2)], [[0, 2], [1]]),
+    ([cube(2), with_another("stiffness", 7, 1.0 + 1e-9, 0.0)], [[0], [1]]),
+    # the rigid rotations of another shape are others
+    ([cube(2), with_another("coordinates", -1, 1.0, 1e-6)], [[0], [1]]),
+    # a turned cube without its frame
+    ([cube(2), replace(turned(cube(2), 0), frame=None)], [[0], [1]]),
+])  # fmt: skip
+def test_classes(parts, expected):
+    assert members(parts) == expected
 
 
 def test_turned_cubes_are_congruent_in_their_frames():
@@ -87,24 +80,20 @@ def test_turned_cubes_are_congruent_in_their_frames():
     np.testing.assert_allclose(back, x, atol=1e-14)
 
 
-def test_a_turned_cube_without_frame_is_not_congruent():
-    assert members([cube(2), changed(turned(cube(2), 0), frame=None)]) == [[0], [1]]
-
-
 def in_any_frames(system):
     """Return the same system with stiffness matrices in frames."""
     parts = []
     for seed, s in enumerate(system.subdomains):
         turn = ortho_group.rvs(3, random_state=seed)
         T = sp.kron(sp.identity(s.nodes.size), turn).tocsr()
-        parts.append(changed(s, stiffness=(T.T @ s.stiffness @ T).tocsr(), frame=turn))
-    return dataclasses.replace(system, subdomains=parts)
+        parts.append(replace(s, stiffness=(T.T @ s.stiffness @ T).tocsr(), frame=turn))
+    return replace(system, subdomains=parts)
 
 
 def with_weak_spring(system):
     parts = list(system.subdomains)
     parts[0] = on_springs(parts[0], 0.0, 1e-6)
-    return dataclasses.replace(system, subdomains=parts)
+    return replace(system, subdomains=parts)
 
 
 @pytest.mark.parametrize("options", OPTIONS, ids=str)
@@ -123,16 +112,12 @@ def test_frames_of_the_stiffness_change_nothing(options, with_springs):
     np.testing.assert_allclose(found.normal_force, expected.normal_force, atol=1e-9)
 
 
-def test_loads_and_numbers_do_not_matter():
-    assert members([cube(2), cube(2, load=(1, 2, 3), body=4, first=99)]) == [[0, 1]]
-
-
 def test_one_softer_cube_among_equal_ones():
     """Classes are of different sizes then; the force still is the load."""
     system = column(height=4, load=(0, 0, -2.0))
     parts = list(system.subdomains)
-    parts[1] = changed(parts[1], stiffness=0.3 * parts[1].stiffness)
-    report = TornSolver(dataclasses.replace(system, subdomains=parts), Options()).solve().report
+    parts[1] = replace(parts[1], stiffness=0.3 * parts[1].stiffness)
+    report = TornSolver(replace(system, subdomains=parts), Options()).solve().report
     assert report.classes == 2
     np.testing.assert_allclose([c.normal_force for c in report.contacts], 2.0, rtol=1e-6)
 

@@ -40,12 +40,9 @@ def test_split_covers_all_nodes_evenly(parts):
     assert max(map(len, pieces)) - min(map(len, pieces)) <= 2
 
 
-def test_centre_of_a_path_is_its_middle():
+def test_centres_of_a_path_and_of_a_ring():
     x = np.column_stack([np.arange(9.0), np.zeros(9)])
     assert fixing_nodes(x, np.ones((18, 1)), 1).tolist() == [4]
-
-
-def test_centre_of_a_ring_is_a_node_of_it():
     angle = np.arange(12) * np.pi / 6
     x = np.column_stack([np.cos(angle), np.sin(angle)])
     chosen = fixing_nodes(x, rigid_body_modes(x), 3)

@@ -23,16 +23,8 @@ def test_ratio_of_a_uniform_material(monkeypatch, nu):
     cube = torn.cube(2, corner=(3, 0, 1))
     expected = 2.0 * (1.0 + nu) / (3.0 * (1.0 - 2.0 * nu))
     assert bulk_over_shear(cube.stiffness, cube.coordinates) == pytest.approx(expected, rel=1e-9)
-
-
-def test_ratio_is_that_of_each_matrix():
-    cube = torn.cube(1)
-    ratios = compressibility([cube, cube])
-    assert list(ratios) == [id(cube.stiffness)]
-
-
-def test_matrix_without_shear_stiffness_is_not_incompressible():
-    cube = torn.cube(1)
+    assert compressibility([cube, cube]).keys() == {id(cube.stiffness)}
+    # a matrix without shear stiffness is not incompressible
     assert bulk_over_shear(0.0 * cube.stiffness, cube.coordinates) == 1.0
 
 

@@ -64,6 +64,13 @@ def test_boxes_have_a_mirror_for_each_direction(shape):
     assert order(lattice(*shape)) == 2 ** len(shape)
 
 
+def test_nodes_that_are_off_are_seen():
+    x = lattice(2, 2)
+    x[4] += [1e-9, 0.0]
+    assert order(x) == 2
+    assert order(x + 0.1 * np.random.default_rng(0).random((9, 2)), 2.0) == 1
+
+
 def test_exchanged_axes_where_mirrors_fail():
     """A square cut by parallel diagonals: turned by pi, and the axes exchanged."""
     x = lattice(3, 3)
@@ -78,17 +85,6 @@ def test_exchanged_axes_where_mirrors_fail():
     assert group.order == 4
     for Q in matrices(group):
         np.testing.assert_allclose(Q @ K @ Q.T, K, atol=1e-14)
-
-
-def test_a_node_that_is_off_by_little_is_seen():
-    x = lattice(2, 2)
-    x[4] += [1e-9, 0.0]
-    assert order(x) == 2
-
-
-def test_general_meshes_have_none():
-    x = lattice(2, 2) + 0.1 * np.random.default_rng(0).random((9, 2))
-    assert order(x, 2.0) == 1
 
 
 @pytest.mark.parametrize(("size", "expected"), [(0.0, 8), (1e-13, 4)])

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import scipy.linalg
 from pairwise import pairwise
-from torn import column
+from torn import column, with_fields, with_prescribed
 
-from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.recovery import balance_multipliers, recover_displacement
@@ -58,11 +58,6 @@ ACCURACY = {"stiff on soft": 1e-7}
 
 def stiffness(system: TornSystem) -> np.ndarray:
     return scipy.linalg.block_diag(*(s.stiffness.toarray() for s in system.subdomains))
-
-
-def primal_problem(solver: TornSolver) -> PrimalProblem:
-    """Return the primal problem of a solver."""
-    return PrimalProblem(solver.setup, solver.data, solver.system.body_names)
 
 
 @cache
@@ -150,11 +145,10 @@ def test_each_body_is_as_accurate_as_asked(name, rtol):
 
 def test_rigid_motion_of_any_size_changes_nothing():
     """Both bodies moved along x by 10^6 times their deformation: the same products and errors."""
-    reports = []
+    reports, system = [], SYSTEMS["bent"]
     for shift in (0.0, 1e6):
-        system = SYSTEMS["bent"]
         values = np.where(system.prescribed.components == 0, shift, 0.0)
-        moved = replace(system, prescribed=replace(system.prescribed, values=values))
+        moved = with_fields(system, "prescribed", values=values)
         reports.append(TornSolver(moved, Options(rtol=1e-4)).solve().report)
     assert abs(reports[0].products["total"] - reports[1].products["total"]) <= 1
     errors = [report.certificate.error for report in reports]
@@ -166,12 +160,8 @@ def test_bodies_that_do_not_touch_are_groups_of_their_own():
     system = bent(load=(0, 0, 0.0))
     top = system.subdomains[-1]
     high = top.nodes[np.isclose(top.coordinates[:, 2], 3)]
-    lifted = Prescribed(
-        np.append(system.prescribed.nodes, high),
-        np.append(system.prescribed.components, np.full(high.size, 2)),
-        np.append(system.prescribed.values, np.full(high.size, 5.0)),
-    )
-    certificate = TornSolver(replace(system, prescribed=lifted)).solve().report.certificate
+    lifted = with_prescribed(system, high, [2], 5.0)
+    certificate = TornSolver(lifted).solve().report.certificate
     assert [group.bodies for group in certificate.groups] == [["lower"], ["upper"]]
 
 
@@ -182,12 +172,8 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
         for s in system.subdomains[:2]
     ]
     bottom = far[0].nodes[np.isclose(far[0].coordinates[:, 2], 50.0)]
-    held = Prescribed(
-        np.concatenate([system.prescribed.nodes, np.repeat(bottom, 3)]),
-        np.concatenate([system.prescribed.components, np.tile([0, 1, 2], bottom.size)]),
-        np.append(system.prescribed.values, np.zeros(3 * bottom.size)),
-    )
-    both = replace(system, subdomains=[*system.subdomains, *far], prescribed=held)
+    both = replace(system, subdomains=[*system.subdomains, *far])
+    both = with_prescribed(both, bottom, [0, 1, 2])
     certificate = TornSolver(both, Options(rtol=1e-9)).solve().report.certificate
     assert certificate.groups[1].error == 0.0
     assert certificate.bodies[2].error == 0.0
@@ -200,7 +186,7 @@ def test_no_bound_where_contact_forces_do_not_balance_the_load():
     constraints, coarse_space = solver.setup.constraints, solver.setup.projector.coarse_space
     multipliers = solution.multipliers.copy()
     multipliers[constraints.inequality] = 0.0
-    problem = primal_problem(solver)
+    problem = PrimalProblem(solver.setup, solver.data, solver.system.body_names)
     multipliers, face = balance_multipliers(
         coarse_space, solver.data.e, multipliers, solver.data.radius
     )

@@ -25,26 +25,17 @@ def test_function_gets_the_steps_of_the_report(method):
     assert len(steps) > 1 or method == "active_set"
 
 
-def test_nothing_is_printed_unasked(capfd):
+def test_option_prints_a_line_for_each_step_and_the_log_has_the_same(capfd, caplog):
+    """Nothing is printed unasked."""
     TornSolver(column()).solve()
     assert capfd.readouterr() == ("", "")
-
-
-def test_option_prints_a_line_for_each_step(capfd):
-    steps = []
-    TornSolver(column(), Options(monitor=True, method="smalbe")).solve(steps.append)
-    lines = capfd.readouterr().out.splitlines()
-    assert lines == [describe_step(step, number) for number, step in enumerate(steps)]
-    assert lines[-1].startswith(f"outer {len(steps) - 1:3d}  products")
-
-
-def test_log_has_the_same_lines(caplog):
     steps = []
     with caplog.at_level(logging.INFO, logger="fenics_tfeti"):
-        TornSolver(column()).solve(steps.append)
-    assert [record.message for record in caplog.records] == [
-        describe_step(step, number) for number, step in enumerate(steps)
-    ]
+        TornSolver(column(), Options(monitor=True, method="smalbe")).solve(steps.append)
+    lines = capfd.readouterr().out.splitlines()
+    assert lines == [describe_step(step, number) for number, step in enumerate(steps)]
+    assert lines == [record.message for record in caplog.records]
+    assert lines[-1].startswith(f"outer {len(steps) - 1:3d}  products")
 
 
 def test_error_of_the_function_is_the_users_own():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from stiff_half import stiff_half
-from torn import column
+from torn import column, with_fields
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse import projector
@@ -23,7 +23,7 @@ def stiff_block_over_uneven_gaps() -> TornSystem:
     *lower, upper = system.subdomains
     stiff = replace(upper, stiffness=(1e4 * upper.stiffness).tocsr())
     gap = 1e3 * np.random.default_rng(1).random(system.contacts.gap.size)
-    return replace(system, subdomains=[*lower, stiff], contacts=replace(system.contacts, gap=gap))
+    return with_fields(replace(system, subdomains=[*lower, stiff]), "contacts", gap=gap)
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from friction_problems import pushed_block
-from torn import column, cube, fixed_nodes
+from torn import column, cube, fixed_nodes, node_rows
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
 from fenics_tfeti.feti.solution.recovery import balance_multipliers
@@ -17,20 +17,16 @@ def two_blocks(overlap: float):
     The second one reaches into the first by `overlap`, and may slide away.
     """
     first, second = cube(2), cube(2, (1, 0, 0), body=1, first=10**9)
-    bottom = [s.nodes[s.coordinates[:, 2] == 0] for s in (first, second)]
-    side = first.nodes[first.coordinates[:, 0] == 1]
-    ground = np.concatenate(bottom)
-    wall = first.nodes[first.coordinates[:, 0] == 0]
-    rows = ContactRows.node_to_node(
-        np.concatenate([ground, side]),
-        np.concatenate([np.full(ground.size, -1), side + 10**9]),
-        np.concatenate([np.tile([0, 0, -1.0], (ground.size, 1)), np.tile([1.0, 0, 0], (9, 1))]),
-        np.concatenate([np.zeros(ground.size), np.full(9, -overlap)]),
-        np.repeat([0, 1], [ground.size, 9]),
-    )
-    held = fixed_nodes(wall, [0, 1])
+    ground = np.concatenate([s.nodes[s.coordinates[:, 2] == 0] for s in (first, second)])
+    wall, side = (first.nodes[first.coordinates[:, 0] == x] for x in (0, 1))
+    below = node_rows(ground, [0, 0, -1.0])
+    between = node_rows(side, [1.0, 0, 0], side + 10**9, gap=-overlap, contact=1)
     return dataclasses.replace(
-        column(), subdomains=[first, second], contacts=rows, prescribed=held, body_names=("a", "b")
+        column(),
+        subdomains=[first, second],
+        contacts=ContactRows.concatenate([below, between]),
+        prescribed=fixed_nodes(wall, [0, 1]),
+        body_names=("a", "b"),
     )
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from torn import column, cube
+from torn import column, cube, node_rows
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
 from fenics_tfeti.feti.solution.row_bodies import RowBodies, without_unloaded_groups
@@ -20,19 +20,16 @@ def with_unloaded_body(gap=0.1):
     """Add a body of two cubes without load, between two walls."""
     system = column(n=2)
     loose = [cube(2, (5, 0, k), 2, LOOSE) for k in range(2)]
-    sides = [loose[0].nodes[loose[0].coordinates[:, 0] == x] for x in (5.0, 6.0)]
-    size = sides[0].size
-    walls = ContactRows.node_to_node(
-        np.concatenate(sides),
-        np.full(2 * size, -1),
-        np.repeat([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], size, axis=0),
-        np.full(2 * size, gap),
-        np.ones(2 * size, dtype=np.int64),
-    )
+    walls = [
+        node_rows(
+            loose[0].nodes[loose[0].coordinates[:, 0] == x], [n, 0.0, 0.0], gap=gap, contact=1
+        )
+        for x, n in ((5.0, -1.0), (6.0, 1.0))
+    ]
     return replace(
         system,
         subdomains=[*system.subdomains, *loose],
-        contacts=ContactRows.concatenate([system.contacts, walls]),
+        contacts=ContactRows.concatenate([system.contacts, *walls]),
         body_names=(),
         contact_names=("joint", "walls"),
     )
