@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from pathlib import Path
-
 from mpi4py import MPI
 
 import numpy as np
@@ -18,13 +14,8 @@ COMM = MPI.COMM_WORLD
 
 
 @pytest.fixture
-def path():
-    """Return a path in an empty folder that all ranks share."""
-    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
-    yield folder / "checkpoint.npz"
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(folder)
+def path(shared_folder):
+    return shared_folder / "checkpoint.npz"
 
 
 def test_run_goes_on(path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 from functools import lru_cache
 
 from mpi4py import MPI
@@ -12,10 +11,11 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from scenes import Scene, stack_on_ground, two_beams, two_materials
+from sparse_rows import distributed
 from torn import column
 
 from fenics_tfeti.errors import FactorizationError
-from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -32,13 +32,6 @@ SCENES = {
 }
 
 
-def dealt(system: TornSystem) -> TornSystem:
-    """Return this rank's share of a system; the last rank may have none."""
-    share = system.subdomains[comm.rank :: comm.size]
-    contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
-    return replace(system, subdomains=share, contacts=contacts, comm=comm)
-
-
 def solved(scene: Scene, kind: str) -> tuple[np.ndarray, ContactReport]:
     # conjugate gradients lose orthogonality to converged modes, and then multiply rounding (on the
     # stack by five a step): at 1e-6 it is far below the tolerance, from 1e-8 on it costs steps
@@ -49,7 +42,7 @@ def solved(scene: Scene, kind: str) -> tuple[np.ndarray, ContactReport]:
 
 @lru_cache(maxsize=None)
 def column_solver(kind: str) -> TornSolver:
-    return TornSolver(dealt(column(height=2)), Options(coarse_solver=kind))
+    return TornSolver(distributed(column(height=2), comm), Options(coarse_solver=kind))
 
 
 @pytest.mark.parametrize("name", SCENES)
@@ -70,57 +63,29 @@ def test_same_displacement_and_products(name):
 @pytest.mark.parametrize("kind", KINDS)
 def test_smalbe_converges(kind):
     options = Options(method="smalbe", coarse_solver=kind)
-    assert TornSolver(dealt(column()), options).solve().report.converged
-
-
-def parts(solver: TornSolver) -> tuple[np.ndarray, np.ndarray]:
-    """Return random parts of a vector, and their sum."""
-    multipliers = solver.setup.constraints.layout
-    part = np.random.default_rng(comm.rank).standard_normal(multipliers.numbers.size)
-    return part, multipliers.sum(part)
+    assert TornSolver(distributed(column(), comm), options).solve().report.converged
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_complement_of_a_sum(kind):
+def test_projections_of_a_sum_of_parts(kind):
+    """P, Q and, on a face, y - G'a with the least motion a, here from dense algebra."""
     solver = column_solver(kind)
-    part, y = parts(solver)
-    found = solver.setup.projector.P_of_sum(part, y)[0]
-    np.testing.assert_allclose(found, solver.setup.projector.P(y), atol=1e-12)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_inner_product_comes_along(kind):
-    solver = column_solver(kind)
-    part, y = parts(solver)
-    square = solver.setup.constraints.layout.space.dots((y, y))[0]
-    assert solver.setup.projector.remove_rigid_motion(part, y)[1] == pytest.approx(
-        square, rel=1e-13
-    )
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_relaxed_sum_outside_the_chosen_columns(kind):
-    """y - G'a with the least motion a, here from dense algebra."""
-    solver = column_solver(kind)
-    constraints, space = solver.setup.constraints, solver.setup.projector.coarse_space
+    constraints, projector = solver.setup.constraints, solver.setup.projector
+    layout, space = constraints.layout, projector.coarse_space
+    part = np.random.default_rng(comm.rank).standard_normal(layout.numbers.size)
+    y = layout.sum(part)
+    np.testing.assert_allclose(projector.P_of_sum(part, y)[0], projector.P(y), atol=1e-12)
+    square = layout.space.dots((y, y))[0]
+    assert projector.remove_rigid_motion(part, y)[1] == pytest.approx(square, rel=1e-13)
+    own, Qy = projector.part_of_Q(y)
+    np.testing.assert_allclose(Qy, projector.Q(y), atol=1e-13)
+    np.testing.assert_allclose(layout.sum(own), Qy, atol=1e-13)
     face = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
-    part, y = parts(solver)
     G = np.stack([space.prolong(a) for a in np.eye(space.size)], axis=1)
-    chosen = constraints.equality
-    owned = np.arange(y.size) < constraints.layout.owned
-    rows = G[chosen & owned]
-    gram = comm.allreduce(rows.T @ rows)
-    a = np.linalg.pinv(gram, rcond=1e-10) @ comm.allreduce(rows.T @ y[chosen & owned])
+    chosen = constraints.equality & (np.arange(y.size) < layout.owned)
+    gram = comm.allreduce(G[chosen].T @ G[chosen])
+    a = np.linalg.pinv(gram, rcond=1e-10) @ comm.allreduce(G[chosen].T @ y[chosen])
     np.testing.assert_allclose(face.remove_rigid_motion(part, y)[0], y - G @ a, atol=1e-11)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_coarse_part_without_exchange(kind):
-    solver = column_solver(kind)
-    y = parts(solver)[1]
-    part, Qy = solver.setup.projector.part_of_Q(y)
-    np.testing.assert_allclose(Qy, solver.setup.projector.Q(y), atol=1e-13)
-    np.testing.assert_allclose(solver.setup.constraints.layout.sum(part), Qy, atol=1e-13)
 
 
 def test_only_own_rows_are_kept_of_a_distributed_matrix():
@@ -138,6 +103,7 @@ def own_rows(matrix: sp.csr_matrix) -> sp.csr_matrix:
 
 @each_number_of_groups
 def test_solution_by_the_first_ranks_of_groups(groups):
+    """An indefinite matrix is an error on all ranks."""
     n = 2 * comm.size
     matrix = sp.diags(
         [-np.ones(n - 1), np.arange(3.0, n + 3), -np.ones(n - 1)], [-1, 0, 1], format="csr"
@@ -146,11 +112,7 @@ def test_solution_by_the_first_ranks_of_groups(groups):
     own = slice(2 * comm.rank, 2 * comm.rank + 2)
     found = AgglomeratedCholesky(comm, own_rows(matrix), groups).solve((matrix @ x)[own])
     np.testing.assert_allclose(found, x[own], atol=1e-14)
-
-
-@each_number_of_groups
-def test_indefinite_matrix_is_an_error_on_all_ranks(groups):
-    rows = sp.diags(np.where(np.arange(2 * comm.size) == 1, -1.0, 1.0), format="csr")
+    rows = sp.diags(np.where(np.arange(n) == 1, -1.0, 1.0), format="csr")
     with pytest.raises(FactorizationError, match="not positive definite"):
         AgglomeratedCholesky(comm, own_rows(rows), groups)
 

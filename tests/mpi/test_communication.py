@@ -44,23 +44,19 @@ def measured(method: str, solver: str) -> dict:
 
 @pytest.mark.parametrize(("method", "solver"), WANTED)
 def test_calls_of_an_iteration(method, solver):
-    found = measured(method, solver)["iteration"]
+    """No iteration sends objects."""
+    found = measured(method, solver)
     names = ("reductions", "coarse", "exchanges", "coarse_exchanges")
-    assert tuple(found[name] for name in names) == WANTED[method, solver]
+    assert tuple(found["iteration"][name] for name in names) == WANTED[method, solver]
+    assert found["mean"]["pickled"] == found["mean"]["all_to_all"] == 0
 
 
-@pytest.mark.parametrize(("method", "solver"), WANTED)
-def test_no_iteration_sends_objects(method, solver):
-    found = measured(method, solver)["mean"]
-    assert found["pickled"] == found["all_to_all"] == 0
+def test_sizes_and_numbers_of_messages():
+    """The coarse vector comes with an inner product; there is a message for each neighbour.
 
-
-def test_redundant_coarse_solve_receives_the_coarse_vector_and_an_inner_product():
+    The column is dealt in layers: a rank has two neighbours at most.
+    """
     found = measured("active_set", "redundant")
-    assert found["iteration"]["coarse_bytes"] == 2 * 8 * (found["coarse"] + 1)
-
-
-def test_messages_are_one_for_each_neighbour_and_exchange():
-    """The column is dealt in layers: a rank has two neighbours at most."""
-    found = measured("active_set", "redundant")["iteration"]
-    assert found["messages"] == found["exchanges"] * min(2, comm.size - 1)
+    iteration = found["iteration"]
+    assert iteration["coarse_bytes"] == 2 * 8 * (found["coarse"] + 1)
+    assert iteration["messages"] == iteration["exchanges"] * min(2, comm.size - 1)

@@ -85,32 +85,20 @@ def whole(constraints: Constraints, ranks: MPI.Comm) -> np.ndarray:
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_rows_are_orthonormal_in_the_inverse_weights(way):
-    torn = system(comm)
-    B = whole(build_constraints(torn, weights(torn, way))[0], comm)
-    np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_rows_span_what_they_span_in_one_process(way):
-    """The projector B'(BB')^{-1}B does not depend on the order of the rows."""
-    together, alone = system(comm), system(MPI.COMM_SELF)
-    found = whole(build_constraints(together, weights(together, way))[0], comm)
-    expected = whole(build_constraints(alone, weights(alone, way))[0], MPI.COMM_SELF)
-    np.testing.assert_allclose(found.T @ found, expected.T @ expected, rtol=0.0, atol=1e-13)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_contact_row_is_that_of_one_process(way):
-    together, alone = system(comm), system(MPI.COMM_SELF)
-    rows = []
-    for torn, ranks in ((together, comm), (alone, MPI.COMM_SELF)):
+def test_rows_are_those_of_one_process(way):
+    """Orthonormal in the inverse weights, with the same span and the same contact row."""
+    found, rows = [], []
+    for ranks in (comm, MPI.COMM_SELF):
+        torn = system(ranks)
         constraints, c = build_constraints(torn, weights(torn, way))
-        row = constraints.layout.size - 1  # inequalities come last
+        B = whole(constraints, ranks)
+        np.testing.assert_allclose(B @ B.T, np.eye(len(B)), rtol=0.0, atol=1e-14)
+        found.append(B.T @ B)  # does not depend on the order of the rows
         at = constraints.inequality[: constraints.owned_inequalities]
-        rhs = ranks.allreduce(float(c[at].sum()))
-        rows.append(np.append(whole(constraints, ranks)[row], rhs))
-    np.testing.assert_allclose(rows[0], rows[1], rtol=0.0, atol=1e-13)
+        # inequalities come last
+        rows.append(np.append(B[-1], ranks.allreduce(float(c[at].sum()))))
+    np.testing.assert_allclose(*found, rtol=0.0, atol=1e-13)
+    np.testing.assert_allclose(*rows, rtol=0.0, atol=1e-13)
 
 
 @pytest.mark.parametrize("way", WAYS)

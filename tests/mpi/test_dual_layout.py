@@ -47,36 +47,22 @@ def test_lowest_holder_is_the_owner(seed):
     here = holders(seed)[comm.rank] & (owner != comm.rank)
     assert others.tolist() == np.flatnonzero(here).tolist()
     assert layout.size == TOTAL
-
-
-@each_seed
-def test_local_positions(seed):
-    layout, _, _ = layout_and_values(seed)
     assert layout.local(layout.numbers).tolist() == list(range(layout.numbers.size))
 
 
 @each_seed
 def test_sum_over_the_holders(seed):
+    """All holders have the same bits, and owned parts add up to the vector."""
     layout, part, parts = layout_and_values(seed)
-    np.testing.assert_allclose(layout.sum(part), parts.sum(axis=0)[layout.numbers], atol=1e-14)
+    x = layout.sum(part)
+    np.testing.assert_allclose(x, parts.sum(axis=0)[layout.numbers], atol=1e-14)
     several = np.column_stack([part, 2.0 * part, part**2])
     expected = np.stack([parts, 2.0 * parts, parts**2], axis=2).sum(axis=0)[layout.numbers]
     np.testing.assert_allclose(layout.sum(several), expected, atol=1e-14)
-
-
-@each_seed
-def test_holders_have_the_same_bits(seed):
-    layout, part, _ = layout_and_values(seed)
     whole = np.full(TOTAL, np.nan)
-    whole[layout.numbers] = layout.sum(part)
+    whole[layout.numbers] = x
     for number in np.stack(comm.allgather(whole), axis=1):
         assert len(set(number[~np.isnan(number)].tolist())) == 1
-
-
-@each_seed
-def test_owned_parts_add_up_to_the_vector(seed):
-    layout, part, _ = layout_and_values(seed)
-    x = layout.sum(part)
     np.testing.assert_array_equal(layout.sum(layout.owned_part(x)), x)
 
 

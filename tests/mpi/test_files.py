@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import resource
-import shutil
 import signal
-import tempfile
 from pathlib import Path
 
 from mpi4py import MPI
@@ -29,16 +27,6 @@ WRITERS = {
 }
 
 
-@pytest.fixture
-def folder():
-    """Return an empty folder that all ranks share."""
-    path = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None))
-    yield path
-    comm.barrier()
-    if comm.rank == 0:
-        shutil.rmtree(path)
-
-
 def solution(on):
     problem = scenes.pressed_block(on, "quadrilateral").problem()
     return problem, problem.solve()
@@ -50,12 +38,12 @@ def solved():
     return solution(comm)
 
 
-def unwritable(folder, name):
+def unwritable(shared_folder, name):
     """Return paths at which no file can be, also not for an administrator."""
     if comm.rank == 0:
-        (folder / "file").touch()
+        (shared_folder / "file").touch()
     comm.barrier()
-    return [folder / "file" / name, Path("/proc") / name]
+    return [shared_folder / "file" / name, Path("/proc") / name]
 
 
 @pytest.fixture
@@ -73,70 +61,70 @@ def full_disk():
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_file_that_cannot_be_written(folder, name, solved):
-    for path in unwritable(folder, name):
+def test_file_that_cannot_be_written(shared_folder, name, solved):
+    for path in unwritable(shared_folder, name):
         with pytest.raises(OSError, match=str(path.parent)):
             WRITERS[name](path, *solved)
     comm.barrier()
-    assert sorted(p.name for p in folder.iterdir()) == ["file"]
+    assert sorted(p.name for p in shared_folder.iterdir()) == ["file"]
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_full_disk_leaves_the_old_file(folder, name, solved, full_disk):
+def test_full_disk_leaves_the_old_file(shared_folder, name, solved, full_disk):
     if comm.rank == 0:
-        (folder / name).write_text("old")
+        (shared_folder / name).write_text("old")
     comm.barrier()
     full_disk()
     with pytest.raises(OSError, match="cannot be written") as raised:
-        WRITERS[name](folder / name, *solved)
-    assert raised.value.filename == str(folder / name)
+        WRITERS[name](shared_folder / name, *solved)
+    assert raised.value.filename == str(shared_folder / name)
     comm.barrier()
-    assert [p.name for p in folder.iterdir()] == [name]
-    assert (folder / name).read_text() == "old"
+    assert [p.name for p in shared_folder.iterdir()] == [name]
+    assert (shared_folder / name).read_text() == "old"
 
 
 @pytest.mark.parametrize("name", ["result.pvd", "curve.png"])
-def test_full_disk_leaves_no_new_folders(folder, name, solved, full_disk):
+def test_full_disk_leaves_no_new_folders(shared_folder, name, solved, full_disk):
     full_disk()
     with pytest.raises(OSError, match="cannot be written"):
-        WRITERS[name](folder / "new" / "folder" / name, *solved)
+        WRITERS[name](shared_folder / "new" / "folder" / name, *solved)
     comm.barrier()
-    assert list(folder.iterdir()) == []
+    assert list(shared_folder.iterdir()) == []
 
 
-def test_one_rank_without_space(folder, solved, full_disk):
+def test_one_rank_without_space(shared_folder, solved, full_disk):
     if comm.rank == comm.size - 1:
         full_disk()
     with pytest.raises(OSError, match="is the disk full"):
-        write_fields(folder / "result.pvd", [solved[1]])
+        write_fields(shared_folder / "result.pvd", [solved[1]])
     comm.barrier()
-    assert list(folder.iterdir()) == []
+    assert list(shared_folder.iterdir()) == []
 
 
-def test_fields_at_the_place_of_a_folder(folder, solved):
+def test_fields_at_the_place_of_a_folder(shared_folder, solved):
     if comm.rank == 0:
-        (folder / "result.pvd").mkdir()
+        (shared_folder / "result.pvd").mkdir()
     with pytest.raises(OSError, match=r"result.pvd is a folder"):
-        write_fields(folder / "result.pvd", solved[1])
+        write_fields(shared_folder / "result.pvd", solved[1])
     comm.barrier()
-    assert [p.name for p in folder.iterdir()] == ["result.pvd"]
+    assert [p.name for p in shared_folder.iterdir()] == ["result.pvd"]
 
 
 @pytest.mark.ranks(2, 3)
-def test_only_whole_files_are_left(folder, solved):
+def test_only_whole_files_are_left(shared_folder, solved):
     problem, uh = solved
-    write_fields(folder / "new" / "result.pvd", [uh])
-    problem.report.to_json(folder / "report.json")
+    write_fields(shared_folder / "new" / "result.pvd", [uh])
+    problem.report.to_json(shared_folder / "report.json")
     comm.barrier()
-    names = {p.name for p in (folder / "new").iterdir()}
+    names = {p.name for p in (shared_folder / "new").iterdir()}
     assert {"result.pvd", "result000000.pvtu"} <= names
     assert len(names) == 2 + comm.size
-    assert json.loads((folder / "report.json").read_text())["ranks"] == comm.size
-    assert sorted(p.name for p in folder.iterdir()) == ["new", "report.json"]
+    assert json.loads((shared_folder / "report.json").read_text())["ranks"] == comm.size
+    assert sorted(p.name for p in shared_folder.iterdir()) == ["new", "report.json"]
 
 
-def test_problems_on_one_rank_each_write_their_reports(folder):
+def test_problems_on_one_rank_each_write_their_reports(shared_folder):
     problem, _ = solution(MPI.COMM_SELF)
-    path = folder / f"report{comm.rank}.json"
+    path = shared_folder / f"report{comm.rank}.json"
     problem.report.to_json(path)
     assert json.loads(path.read_text())["ranks"] == 1

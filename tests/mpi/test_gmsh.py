@@ -25,31 +25,16 @@ def integral(mesh, measure):
     return COMM.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure)))
 
 
-@pytest.fixture(scope="module")
-def two_beams():
-    return read_msh(TWO_BEAMS, COMM)
-
-
-def test_all_ranks_together_hold_the_mesh_of_the_file(two_beams):
+def test_all_ranks_together_hold_the_mesh_of_the_file():
+    two_beams = read_msh(TWO_BEAMS, COMM)
     topology = two_beams.mesh.topology
     assert topology.index_map(0).size_global == 2 * 25 * 13 * 13
     assert topology.index_map(3).size_global == 2 * 24 * 12 * 12
-
-
-def test_volumes_and_areas_do_not_depend_on_the_ranks(two_beams):
+    assert two_beams.names["contact_upper"] == 5
     dx = ufl.Measure("dx", domain=two_beams.mesh, subdomain_data=two_beams.cell_tags)
     ds = ufl.Measure("ds", domain=two_beams.mesh, subdomain_data=two_beams.facet_tags)
     sizes = [integral(two_beams.mesh, measure) for measure in (dx(1), dx(2), ds(5), ds(7), ds)]
     assert sizes == pytest.approx([2, 2, 1, 3, 20])
-
-
-def test_wrong_dimension_is_an_error_on_all_ranks():
-    with pytest.raises(InputError, match="pass gdim=3"):
-        read_msh(TWO_BEAMS, COMM, gdim=2)
-
-
-def test_all_ranks_know_the_names(two_beams):
-    assert two_beams.names["contact_upper"] == 5
 
 
 @pytest.mark.parametrize("cell", ["quadrilateral", "tetrahedron"])
@@ -72,24 +57,22 @@ def test_boxes_do_not_depend_on_the_ranks(cell):
     assert nodes == 2 * np.prod(np.add(grid, 1))
 
 
-def test_missing_file_is_an_error_on_all_ranks():
+def test_wrong_files_are_errors_on_all_ranks():
     with pytest.raises(FileNotFoundError, match="no mesh file"):
         read_msh("nowhere.msh", COMM)
+    with pytest.raises(InputError, match="pass gdim=3"):
+        read_msh(TWO_BEAMS, COMM, gdim=2)
 
 
-def test_marker_that_fails_on_one_rank_is_an_error_on_all_ranks():
+def test_wrong_markers_are_errors_on_all_ranks():
     mesh = boxes(COMM, [Box((0, 0), (1, 1), (8, 8))], "triangle").mesh
 
-    def marker(x):
+    def fails(x):
         if COMM.rank == COMM.size - 1:
             raise RuntimeError("no good")
         return x[0] < 1e-9
 
     with pytest.raises(InputError, match="facet tag 3 failed .*no good"):
-        tag_facets(mesh, {3: marker})
-
-
-def test_tag_of_no_facet_is_an_error_on_all_ranks():
-    mesh = boxes(COMM, [Box((0, 0), (1, 1), (8, 8))], "triangle").mesh
+        tag_facets(mesh, {3: fails})
     with pytest.raises(InputError, match=r"tags \[4\]"):
         tag_facets(mesh, {3: lambda x: x[0] < 1e-9, 4: lambda x: x[0] > 2})

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from mpi4py import MPI
 
 import pytest
 from pressed_blocks import pressed_blocks
+from sparse_rows import distributed
 
-from fenics_tfeti.feti import ContactRows, Options, TornSolver
-
-COMM = MPI.COMM_WORLD
+from fenics_tfeti.feti import Options, TornSolver
 
 
 def test_as_on_one_rank():
     # the communicator of the system is that of the problem's mesh
     problem = pressed_blocks(MPI.COMM_SELF, 3, 0.49999, subdomain_size=400)
-    system = problem.system
-    contacts = system.contacts if COMM.rank == 0 else ContactRows.none(system.gdim)
-    share = system.subdomains[COMM.rank :: COMM.size]
-    dealt = replace(system, subdomains=share, contacts=contacts, comm=COMM)
-    reports = [TornSolver(s, Options()).solve().report for s in (dealt, system)]
+    dealt = distributed(problem.system, MPI.COMM_WORLD)
+    reports = [TornSolver(s, Options()).solve().report for s in (dealt, problem.system)]
     assert "stiff modes" in reports[0].preconditioner_reason
     assert reports[0].preconditioner_reason == reports[1].preconditioner_reason
     counts = [report.products["total"] for report in reports]

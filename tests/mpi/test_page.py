@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
-import tempfile
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -20,8 +17,8 @@ from fenics_tfeti.io import contact_fields
 COMM = MPI.COMM_WORLD
 
 
-def test_rank_0_writes_the_whole():
-    folder = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
+def test_rank_0_writes_the_whole(shared_folder):
+    folder = shared_folder
     scene = scenes.two_beams(COMM, "quadrilateral", 2)
     problem = scene.problem()
     uh = problem.solve()
@@ -37,6 +34,3 @@ def test_rank_0_writes_the_whole():
     # two beams of 4 x 2 squares in two triangles each; Plotly writes a slash as \u002f
     content = base64.b64decode(corners.replace("\\u002f", "/"))
     assert np.frombuffer(content, kind).size == 2 * 2 * 8
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(folder)

@@ -104,18 +104,16 @@ def test_proportioning(expansion, seed, name):
     """So well conditioned that the order of the sums does not change the number of iterations."""
     problem = PROBLEMS[name](seed, condition=10.0)
     shared, alone, on_ranks = Shared(problem), Products(), Products()
-    options = ProportioningOptions(step_length=1.9, expansion=expansion)
-
-    def stop(split):
-        return split.gradient_norm <= 1e-8
-
-    expected = proportioning(
-        problem.hessian, problem.b, problem.feasible, np.zeros(problem.b.size), stop,
-        options=options, products=alone,
-    ).x  # fmt: skip
-    found = proportioning(
-        shared.hessian, problem.b[shared.held], shared.feasible, np.zeros(shared.held.size), stop,
-        options=options, products=on_ranks, space=shared.space,
+    zeros, b = np.zeros(problem.b.size), problem.b
+    solve = partial(
+        proportioning,
+        stop=lambda split: split.gradient_norm <= 1e-8,
+        options=ProportioningOptions(step_length=1.9, expansion=expansion),
+    )
+    expected = solve(problem.hessian, b, problem.feasible, zeros, products=alone).x
+    found = solve(
+        shared.hessian, b[shared.held], shared.feasible, zeros[shared.held],
+        products=on_ranks, space=shared.space,
     ).x  # fmt: skip
     np.testing.assert_allclose(found, expected[shared.held], atol=1e-11)
     # a step that ends at a bound meets it up to rounding, or one step later
@@ -127,16 +125,14 @@ def test_proportioning(expansion, seed, name):
 def test_smalbe(name):
     problem = PROBLEMS[name](1, equalities=3)
     shared, alone, on_ranks = Shared(problem), Products(), Products()
+    zeros, b = np.zeros(problem.b.size), problem.b
     options = SMALBEOptions(rtol=1e-6, inner=ProportioningOptions(step_length=1.9))
-    zeros = np.zeros(problem.b.size)
-    expected = smalbe(
-        problem.penalised(1.0), problem.b, problem.feasible, SMALBEState(zeros, zeros),
-        options=options, products=alone,
-    )  # fmt: skip
-    zeros = zeros[shared.held]
-    found = smalbe(
-        shared.penalised, problem.b[shared.held], shared.feasible, SMALBEState(zeros, zeros),
-        options=options, products=on_ranks, space=shared.space,
+    solve = partial(smalbe, options=options)
+    start, shared_start = SMALBEState(zeros, zeros), SMALBEState(*2 * (zeros[shared.held],))
+    expected = solve(problem.penalised(1.0), b, problem.feasible, start, products=alone)
+    found = solve(
+        shared.penalised, b[shared.held], shared.feasible, shared_start,
+        products=on_ranks, space=shared.space,
     )  # fmt: skip
     np.testing.assert_allclose(found.state.x, expected.state.x[shared.held], atol=1e-11)
     assert on_ranks.total == alone.total

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
-import tempfile
 from dataclasses import replace
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -162,23 +159,13 @@ def test_wrong_system_is_not_written(path):
     assert not path.exists()
 
 
-@pytest.fixture
-def folder():
-    """Return an empty folder that all ranks share."""
-    path = Path(COMM.bcast(tempfile.mkdtemp() if COMM.rank == 0 else None))
-    yield path
-    COMM.barrier()
-    if COMM.rank == 0:
-        shutil.rmtree(path)
-
-
 @pytest.mark.ranks(2)
-def test_file_of_many_ranks_read_by_one_and_by_many(folder):
+def test_file_of_many_ranks_read_by_one_and_by_many(shared_folder):
     exact = TornSolver(column(height=3), Options(rtol=1e-9)).solve().report
-    save_system(folder / "system.npz", DISTRIBUTED)
+    save_system(shared_folder / "system.npz", DISTRIBUTED)
     COMM.barrier()
     for comm in (MPI.COMM_SELF, COMM):
-        system = load_system(folder / "system.npz", comm)
+        system = load_system(shared_folder / "system.npz", comm)
         counts = comm.allgather((len(system.subdomains), system.contacts.size))
         assert [sum(count) for count in zip(*counts, strict=True)] == [4, 16]
         assert max(count[0] for count in counts) <= -(-4 // comm.size)
@@ -190,36 +177,36 @@ def test_file_of_many_ranks_read_by_one_and_by_many(folder):
 
 
 @pytest.mark.ranks(2)
-def test_errors_reach_all_ranks(folder):
+def test_errors_reach_all_ranks(shared_folder):
     with pytest.raises(OSError, match="torn system cannot be written"):
-        save_system(folder / "missing" / "system.npz", DISTRIBUTED)
+        save_system(shared_folder / "missing" / "system.npz", DISTRIBUTED)
     with pytest.raises(FileNotFoundError):
-        load_system(folder / "system.npz", COMM)
+        load_system(shared_folder / "system.npz", COMM)
     # too few subdomains for the last rank to read any: the error is that of another one
     if COMM.rank == 0:
         system = column(n=2, contact=False)
-        save_system(folder / "system.npz", replace(system, subdomains=system.subdomains[:1]))
-        arrays = dict(np.load(folder / "system.npz"))
+        save_system(shared_folder / "system.npz", replace(system, subdomains=system.subdomains[:1]))
+        arrays = dict(np.load(shared_folder / "system.npz"))
         del arrays["subdomains/0/load"]
-        np.savez(folder / "system.npz", **arrays)
+        np.savez(shared_folder / "system.npz", **arrays)
     COMM.barrier()
     with pytest.raises(InputError, match="'subdomains/0/load' is missing"):
-        load_system(folder / "system.npz", COMM)
+        load_system(shared_folder / "system.npz", COMM)
 
 
 @pytest.mark.ranks(2)
-def test_command(folder, capfd):
-    save_system(folder / "system.npz", DISTRIBUTED)
+def test_command(shared_folder, capfd):
+    save_system(shared_folder / "system.npz", DISTRIBUTED)
     COMM.barrier()
-    command = [str(folder / "system.npz"), "--rtol", "1e-9"]
-    assert main([*command, "--solution", str(folder / "solution.npz")], COMM) == 0
+    command = [str(shared_folder / "system.npz"), "--rtol", "1e-9"]
+    assert main([*command, "--solution", str(shared_folder / "solution.npz")], COMM) == 0
     assert main([*command, "--max_products", "1"], COMM) == 1
     assert main([*command, "--method", "none"], COMM) == 2
     COMM.barrier()
     printed = capfd.readouterr()
     assert ("force on slave  (0, 0, 1) of 'joint'" in printed.out) == (COMM.rank == 0)
     assert ("error: option 'method'" in printed.err) == (COMM.rank == 0)
-    solution = dict(np.load(folder / "solution.npz"))
+    solution = dict(np.load(shared_folder / "solution.npz"))
     exact = TornSolver(column(height=3), Options(rtol=1e-9)).solve()
     assert solution["normal_force"].sum() == pytest.approx(1.0, rel=1e-8)
     nodes = np.concatenate([s.nodes for s in column(height=3).subdomains])
