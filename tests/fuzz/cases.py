@@ -12,7 +12,7 @@ import numpy as np
 import oracle
 from bad_systems import with_mistake
 from friction_oracle import compare_with_friction, verdict_with_friction
-from glued import GluedProblem
+from glued import GluedProblem, unknowns_of
 from numpy.typing import NDArray
 from outcome import Found, Outcome, agree, attempt, compare, compare_refused
 from torn_problems import TornProblem, draw_torn, torn_system
@@ -116,7 +116,7 @@ def _solve_torn(problem: TornProblem, comm: MPI.Comm, seed: int, wrong: bool = F
     low, high = np.full(n, np.inf), np.full(n, -np.inf)
     for subdomain, u in zip(system.subdomains, solution.displacements, strict=False):
         nodes = place[np.searchsorted(problem.numbers[place], subdomain.nodes)]
-        at = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+        at = unknowns_of(nodes, gdim)
         sums[at] += u
         counts[at] += 1
         low[at], high[at] = np.minimum(low[at], u), np.maximum(high[at], u)

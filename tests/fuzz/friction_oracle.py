@@ -26,7 +26,7 @@ import scipy.linalg as la
 import scipy.sparse as sp
 from glued import GluedProblem, rigid_modes
 from numpy.typing import NDArray
-from oracle import Answer, Unsure, infeasibility
+from oracle import Answer, Unsure, infeasibility, without_a_solution
 from outcome import (
     AT_REST,
     FACTOR,
@@ -36,9 +36,13 @@ from outcome import (
     UNDEFORMED,
     Found,
     Outcome,
+    allowed_at_rows,
     bodies_of_rows,
+    displacement_ratios,
     outcome_of,
     rigid_part,
+    rounded_lengths,
+    scale_of_rounding,
     without_solution,
     worst,
 )
@@ -67,11 +71,7 @@ def verdict_with_friction(problem: GluedProblem) -> Answer:
         motion = _unbalanced(problem)
     except Unsure as error:
         return Answer("unsure", str(error))
-    if excess and motion:
-        return Answer("infeasible and unbounded", f"{excess}; {motion}")
-    if excess or motion:
-        return Answer("infeasible" if excess else "unbounded", excess or motion)
-    return Answer("solution")
+    return without_a_solution(excess, motion) or Answer("solution")
 
 
 def compare_with_friction(problem: GluedProblem, found: Found, rtol: float) -> Outcome:
@@ -98,9 +98,7 @@ def _without_prescribed_slips(problem: GluedProblem, found: Found) -> tuple[Glue
     """Leave out the sites whose slips are prescribed: their forces act on supports alone."""
     friction = problem.friction
     assert friction is not None
-    free = np.ones(problem.load.size)
-    free[problem.fixed] = 0.0
-    moves = (abs(friction.rows) @ free).reshape(friction.before.shape)
+    moves = (abs(friction.rows) @ problem.is_free).reshape(friction.before.shape)
     slide = (moves > 1e-8).any(axis=1)
     if found.error is None:
         found = replace(found, tangential=found.tangential[slide])
@@ -111,12 +109,8 @@ def _slides_one_way(problem: GluedProblem) -> bool:
     """Tell whether one direction of a slip is free and the other one prescribed, not zero."""
     friction = problem.friction
     assert friction is not None
-    known = np.zeros(problem.load.size)
-    known[problem.fixed] = problem.values
-    free = np.ones(problem.load.size, dtype=bool)
-    free[problem.fixed] = False
-    slips = friction.slips(known)
-    rows = friction.rows[:, free].toarray().reshape(*slips.shape, -1)
+    slips = friction.slips(problem.known)
+    rows = friction.rows[:, problem.is_free].toarray().reshape(*slips.shape, -1)
     directions, sizes, _ = np.linalg.svd(rows, full_matrices=False)
     along = np.einsum("kij,ki->kj", directions, slips)
     return bool(((sizes < 1e-8) & (np.abs(along) > 0.0)).any())
@@ -251,40 +245,19 @@ class _Measured:
         self.deformation = np.array([np.abs(self.local[i]).max() for i in at])
         size = np.array([np.abs(u[i]).max() for i in at])
         K = (problem.elastic + problem.springs.matrix()).tocsr()
-        reach = float(np.max(np.abs(problem.load) / K.diagonal()))
-        rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
+        rounding = rounded_lengths(problem, size, K)
         self.length = FACTOR * self.rtol * self.deformation + rounding
         return outcome_of({**self._displacements(), **self._forces(), **self._energies(K)})
 
-    def _allowed(self, rows: sp.csr_matrix) -> Vector:
-        """Return the length that is allowed at each row."""
-        return np.array(
-            [self.length[b].max(initial=0.0) for b in bodies_of_rows(rows, self.problem)]
-        )
-
     def _displacements(self) -> dict[str, float]:
         """Compare gaps, slips below the bound, ties, copies of nodes and supports."""
-        problem, u, friction = self.problem, self.u, self.friction
-        finite = np.isfinite(problem.gap)
-        gap = np.where(finite, problem.gap, 0.0)
-        opening = np.where(finite, gap - problem.rows @ u, 0.0)
-        allowed = self._allowed(problem.rows) + 1e-12 * np.abs(gap) + problem.gap_rounding
-        jump = np.array([self.found.jump[problem.body == b].max() for b in range(problem.bodies)])
-        off = np.zeros(problem.bodies)
-        error = np.abs(u[problem.fixed] - problem.values)
-        np.maximum.at(off, problem.body[problem.fixed // problem.gdim], error)
-        tied = np.abs(problem.tied @ u - problem.tied_jump)
-        slip = np.linalg.norm(friction.slips(u), axis=1)
-        below = self._size() < (1.0 - 1e-8) * self._bounds()
+        problem, friction = self.problem, self.friction
+        slip = np.linalg.norm(friction.slips(self.u), axis=1)
+        below = (self._size() < (1.0 - 1e-8) * self._bounds()) & ~self._at_bound()
         before = 1e-12 * np.linalg.norm(friction.before, axis=1)
-        of_sites = self._allowed(problem.rows[friction.row])
-        return {
-            "penetration": worst(np.maximum(-opening, 0.0), allowed),
-            "slip below the bound": worst(slip * (below & ~self._at_bound()), of_sites + before),
-            "tied": worst(tied, self._allowed(problem.tied) + 1e-12 * np.abs(problem.tied_jump)),
-            "gluing": worst(jump, self.length),
-            "supports": worst(off, self.length),
-        }
+        of_sites = allowed_at_rows(problem.rows[friction.row], problem, self.length)
+        sliding = {"slip below the bound": worst(slip * below, of_sites + before)}
+        return sliding | displacement_ratios(problem, self.found, self.length, 0.0)
 
     def _size(self) -> Vector:
         return np.linalg.norm(self.found.tangential, axis=1)
@@ -379,7 +352,7 @@ class _Measured:
             # rounding of lengths, of which the forces make work
             np.add.at(noise2, first, 4.0 * _EPS * force * length / ROUNDINGS**2)
         np.add.at(of_groups.T, group, np.column_stack([error2 + lost, energy, noise2]))
-        motion, load = self._scale_of_rounding(K)
+        motion, load = scale_of_rounding(problem, np.abs(self.u).max(), K)
         floor = 1e-15 * motion + 1e-12 * load + ROUNDINGS * np.sqrt(of_groups[2][group])
         # the package calls strains rounding up to this part of motions and loads
         none = UNDEFORMED * (motion + load)
@@ -407,15 +380,6 @@ class _Measured:
                 np.array([tolerance * max(abs(exact), whole) + noise]),
             ),
         }
-
-    def _scale_of_rounding(self, K: sp.csr_matrix) -> tuple[Vector, float]:
-        """Return the energy norms that rounding is relative to: of motions by body, of the load."""
-        problem = self.problem
-        stiffness = np.array(
-            [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
-        )
-        load = float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
-        return np.sqrt(stiffness) * np.abs(self.u).max(), load
 
     def _groups(self, pressing: NDArray[np.bool_]) -> Numbers:
         """Return the group of each body: bodies that press on each other, rub, or are tied."""

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["GluedFriction", "GluedProblem", "Springs", "rigid_modes"]
+__all__ = ["GluedFriction", "GluedProblem", "Springs", "rigid_modes", "unknowns_of"]
 
 
 @dataclass(frozen=True)
@@ -142,10 +142,23 @@ class GluedProblem:
         """Number of bodies."""
         return int(self.body.max()) + 1
 
+    @property
+    def known(self) -> Vector:
+        """The prescribed displacements, zero on free unknowns."""
+        u = np.zeros(self.load.size)
+        u[self.fixed] = self.values
+        return u
+
+    @property
+    def is_free(self) -> NDArray[np.bool_]:
+        """Where nothing is prescribed."""
+        free = np.ones(self.load.size, dtype=bool)
+        free[self.fixed] = False
+        return free
+
     def unknowns(self, body: int) -> Numbers:
         """Return the unknowns of a body, ascending."""
-        nodes = np.flatnonzero(self.body == body)
-        return (self.gdim * nodes[:, None] + np.arange(self.gdim)).ravel()
+        return unknowns_of(np.flatnonzero(self.body == body), self.gdim)
 
     def body_of_springs(self) -> Numbers:
         """Return the body of each spring."""
@@ -155,9 +168,7 @@ class GluedProblem:
 
     def determined_rows(self) -> NDArray[np.bool_]:
         """Tell for which rows no combination of others gives the same forces on free unknowns."""
-        free = np.ones(self.load.size, dtype=bool)
-        free[self.fixed] = False
-        C = sp.vstack([self.rows, self.tied]).tocsr()[:, free].toarray()
+        C = sp.vstack([self.rows, self.tied]).tocsr()[:, self.is_free].toarray()
         C[: self.gap.size][~np.isfinite(self.gap)] = 0.0
         lengths = np.linalg.norm(C, axis=1)
         C = C / np.maximum(lengths, 1e-300)[:, None]
@@ -169,6 +180,12 @@ class GluedProblem:
             if at.size > 1 and np.linalg.eigvalsh(gram[np.ix_(at, at)])[0] < 1e-8:
                 determined[at] = False
         return determined[: self.gap.size]
+
+
+def unknowns_of(nodes: Numbers, gdim: int) -> Numbers:
+    """Return the unknowns of nodes, node by node."""
+    unknowns: Numbers = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+    return unknowns
 
 
 def rigid_modes(coordinates: Vector) -> Vector:

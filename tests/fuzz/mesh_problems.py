@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from glued import GluedFriction, GluedProblem, Springs
+from glued import GluedFriction, GluedProblem, Springs, unknowns_of
 from numpy.random import Generator
 from numpy.typing import NDArray
 from scenes import Scene, elasticity
@@ -694,7 +694,7 @@ def glue(problem: MeshProblem) -> GluedProblem:
     gdim, V = problem.gdim, posed.V
     number = node_numbers(problem, V, posed.cell_tags)
     node = np.argsort(number)
-    order = (gdim * node[:, None] + np.arange(gdim)).ravel()
+    order = unknowns_of(node, gdim)
     coordinates = V.tabulate_dof_coordinates()[node, :gdim]
     load = petsc.assemble_vector(fem.form(posed.L)).array[order].copy()
     unknowns = load.size

@@ -31,7 +31,7 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-__all__ = ["Answer", "Unsure", "Verdict", "infeasibility", "solve"]
+__all__ = ["Answer", "Unsure", "Verdict", "infeasibility", "solve", "without_a_solution"]
 
 # a resistance or a violation between these two, relative to what is compared, is called unsure
 _CERTAINLY_ZERO, _CERTAINLY_NOT = 1e-12, 1e-10
@@ -92,15 +92,18 @@ def solve(problem: GluedProblem) -> Answer:
         excess = infeasibility(problem)
         condensed = _Condensed(problem)
         motion = condensed.unresisted_motion()
-        if excess and motion:
-            return Answer("infeasible and unbounded", f"{excess}; {motion}")
-        if excess:
-            return Answer("infeasible", excess)
-        if motion:
-            return Answer("unbounded", motion)
-        return condensed.solve()
+        return without_a_solution(excess, motion) or condensed.solve()
     except Unsure as error:
         return Answer("unsure", str(error))
+
+
+def without_a_solution(excess: str, motion: str) -> Answer | None:
+    """Return the answer where conditions exclude each other or the load moves a body."""
+    if excess and motion:
+        return Answer("infeasible and unbounded", f"{excess}; {motion}")
+    if excess or motion:
+        return Answer("infeasible" if excess else "unbounded", excess or motion)
+    return None
 
 
 # -- feasibility -----------------------------------------------------------------------------------
@@ -108,16 +111,13 @@ def solve(problem: GluedProblem) -> Answer:
 
 def infeasibility(problem: GluedProblem) -> str:
     """Tell whether the conditions exclude each other: a linear programme for each set of nodes."""
-    u = np.zeros(problem.load.size)
-    u[problem.fixed] = problem.values
-    free = np.ones(u.size, dtype=bool)
-    free[problem.fixed] = False
+    u = problem.known
     finite = np.flatnonzero(np.isfinite(problem.gap))
     # a tied row is two conditions
     rows = sp.vstack([problem.rows[finite], problem.tied, -problem.tied]).tocsr()
     gap = np.concatenate([problem.gap[finite], problem.tied_jump, -problem.tied_jump])
     rounding = np.append(problem.gap_rounding[finite], np.zeros(2 * problem.tied_jump.size))
-    C = rows[:, free].toarray()
+    C = rows[:, problem.is_free].toarray()
     known = rows @ u
     bound = gap - known
     # conditions are compared to twelve digits of what they are made of, and of what that is made of

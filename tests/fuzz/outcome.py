@@ -9,7 +9,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from glued import GluedProblem
+from glued import GluedProblem, rigid_modes
 from numpy.typing import NDArray
 from oracle import Answer
 
@@ -22,23 +22,6 @@ from fenics_tfeti.errors import (
 )
 
 Vector = NDArray[np.float64]
-
-__all__ = [
-    "CLASSES",
-    "FAILURES",
-    "FINE",
-    "Found",
-    "Outcome",
-    "agree",
-    "attempt",
-    "bodies_of_rows",
-    "compare",
-    "compare_refused",
-    "outcome_of",
-    "rigid_part",
-    "without_solution",
-    "worst",
-]
 
 # classes of outcomes
 FINE = ("right", "right error", "limit of rounding", "skipped", "no contraction")
@@ -230,10 +213,7 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
         exact = answer.displacement[at]
         size[b] = np.abs(exact).max()
         deformation[b] = np.abs(exact - rigid_part(problem, b, exact)).max()
-    stiffness = np.array(
-        [abs(K[at][:, at]).max() for at in map(problem.unknowns, range(problem.bodies))]
-    )
-    motion, load = np.sqrt(stiffness) * size.max(), _energy_of_load(problem, K)
+    motion, load = scale_of_rounding(problem, size.max(), K)
     floor = floor + 1e-15 * motion + 1e-12 * load
     # the package calls strains rounding up to this part of motions and loads
     still = np.sqrt(_of_groups(answer, answer.energy)) <= ROUNDINGS * np.sqrt(
@@ -243,27 +223,9 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     ratio = {"error": worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
     # local lengths: of the bodies that a row joins, without their rigid motions
-    reach = float(np.max(np.abs(problem.load) / K.diagonal()))
-    rounding = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
-    body_of_row = bodies_of_rows(problem.rows, problem)
-    tolerance = FACTOR * rtol * deformation + rounding
-    finite = np.isfinite(problem.gap)
-    allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
+    tolerance = FACTOR * rtol * deformation + rounded_lengths(problem, size, K)
     exact_opening = problem.gap - problem.rows @ answer.displacement
-    opening = problem.gap - problem.rows @ u
-    penetration = np.where(finite, np.minimum(exact_opening, 0.0) - opening, 0.0)
-    allowed = allowed + 1e-12 * np.where(finite, np.abs(problem.gap), 0.0) + problem.gap_rounding
-    ratio["penetration"] = worst(np.maximum(penetration, 0.0), allowed)
-    body_of_row = bodies_of_rows(problem.tied, problem)
-    allowed = np.array([tolerance[b].max(initial=0.0) for b in body_of_row])
-    apart = np.abs(problem.tied @ u - problem.tied_jump)
-    ratio["tied"] = worst(apart, allowed + 1e-12 * np.abs(problem.tied_jump))
-    jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
-    ratio["gluing"] = worst(jump, tolerance)
-    off = np.zeros(problem.bodies)
-    body_of_fixed = problem.body[problem.fixed // problem.gdim]
-    np.maximum.at(off, body_of_fixed, np.abs(u[problem.fixed] - problem.values))
-    ratio["supports"] = worst(off, tolerance)
+    ratio |= displacement_ratios(problem, found, tolerance, np.minimum(exact_opening, 0.0))
     ratio["forces"] = _force_ratio(problem, answer, found, rtol)
     exact_energy = float(0.5 * answer.energy.sum() - problem.load @ answer.displacement)
     absolute = np.abs(answer.displacement)
@@ -284,9 +246,48 @@ def outcome_of(ratio: dict[str, float]) -> Outcome:
     return Outcome("wrong", f"times what is allowed: {words}", ratio)
 
 
-def _energy_of_load(problem: GluedProblem, K: Any) -> float:
-    """Return the energy norm of what the load does to each unknown alone."""
-    return float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
+def scale_of_rounding(problem: GluedProblem, largest: float, K: Any) -> tuple[Vector, float]:
+    """Return the energy norms that rounding is relative to.
+
+    They are those of motions by body, and of what the load does to each unknown alone.
+    """
+    unknowns = map(problem.unknowns, range(problem.bodies))
+    stiffness = np.array([abs(K[at][:, at]).max() for at in unknowns])
+    return np.sqrt(stiffness) * largest, float(np.sqrt(np.sum(problem.load**2 / K.diagonal())))
+
+
+def rounded_lengths(problem: GluedProblem, size: Vector, K: Any) -> Vector:
+    """Return what rounding makes of displacements whose largest by body are given."""
+    reach = float(np.max(np.abs(problem.load) / K.diagonal()))
+    rounding: Vector = 1e-12 * size + 1e-14 * size.max() + 1e-12 * reach
+    return rounding
+
+
+def allowed_at_rows(rows: Any, problem: GluedProblem, length: Vector) -> Vector:
+    """Return the largest of lengths by body at each row."""
+    return np.array([length[b].max(initial=0.0) for b in bodies_of_rows(rows, problem)])
+
+
+def displacement_ratios(
+    problem: GluedProblem, found: Found, length: Vector, least_opening: Vector | float
+) -> dict[str, float]:
+    """Compare gaps, ties, copies of nodes and supports with the lengths allowed by body."""
+    u, finite = found.displacement, np.isfinite(problem.gap)
+    gap = np.where(finite, problem.gap, 0.0)
+    depth = np.where(finite, least_opening - (problem.gap - problem.rows @ u), 0.0)
+    allowed = allowed_at_rows(problem.rows, problem, length) + 1e-12 * np.abs(gap)
+    jump = np.array([found.jump[problem.body == b].max() for b in range(problem.bodies)])
+    off = np.zeros(problem.bodies)
+    error = np.abs(u[problem.fixed] - problem.values)
+    np.maximum.at(off, problem.body[problem.fixed // problem.gdim], error)
+    torn = np.abs(problem.tied @ u - problem.tied_jump)
+    of_ties = allowed_at_rows(problem.tied, problem, length) + 1e-12 * np.abs(problem.tied_jump)
+    return {
+        "penetration": worst(np.maximum(depth, 0.0), allowed + problem.gap_rounding),
+        "tied": worst(torn, of_ties),
+        "gluing": worst(jump, length),
+        "supports": worst(off, length),
+    }
 
 
 def _of_groups(answer: Answer, values: Vector) -> Vector:
@@ -298,8 +299,6 @@ def _of_groups(answer: Answer, values: Vector) -> Vector:
 
 
 def rigid_part(problem: GluedProblem, body: int, u: Vector) -> Vector:
-    from glued import rigid_modes
-
     R = rigid_modes(problem.coordinates[problem.body == body])
     return R @ (R.T @ u)
 
@@ -344,18 +343,14 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
     # what rounding makes of the forces on other bodies
     allowed_body = acting[answer.group] + 1e-12 * acting.sum() / (FACTOR * rtol)
     difference = found.force - answer.force
-    free = np.ones(problem.load.size)
-    free[problem.fixed] = 0.0
     change = problem.rows.T @ difference + problem.tied.T @ (found.tied - answer.tied)
-    nodal = (free * change).reshape(-1, problem.gdim)
+    nodal = (problem.is_free * change).reshape(-1, problem.gdim)
     resultant = np.zeros((problem.bodies, problem.gdim))
     np.add.at(resultant, problem.body, nodal)
     ratio = worst(np.abs(resultant).max(axis=1), allowed_body)
 
     unique = problem.determined_rows()
-    allowed_row = np.array(
-        [allowed_body[b].max(initial=0.0) for b in bodies_of_rows(problem.rows, problem)]
-    )
+    allowed_row = allowed_at_rows(problem.rows, problem, allowed_body)
     for contact in np.unique(problem.contact):
         at = problem.contact == contact
         allowed = allowed_row[at].max()

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from cases import _solve_torn, solve_case
+from cases import _solve_torn
 from friction_oracle import compare_with_friction, verdict_with_friction
 from torn_problems import draw_torn
 
@@ -55,26 +55,6 @@ def test_solution_is_right(solved):
 def test_wrong_solution_is_wrong(solved, change):
     problem, found = solved
     assert compare_with_friction(problem, replace(found, **change(found)), RTOL).kind == "wrong"
-
-
-@pytest.mark.parametrize(
-    "seed",
-    [
-        pytest.param(318, id="rows that stick depend on each other"),
-        pytest.param(430, id="friction on a body at rest"),
-        pytest.param(725, id="balanced by wedged bodies"),
-        pytest.param(864, id="balanced by large forces"),
-        pytest.param(1221, id="friction much smaller than the load"),
-        pytest.param(1760, id="kinks of the least norm"),
-        pytest.param(5920, id="directions swing, without preconditioner"),
-        pytest.param(7884, id="directions swing, Dirichlet preconditioner"),
-        pytest.param(7944, id="directions swing, small tolerance"),
-    ],
-)
-def test_random_problem(seed):
-    comm = MPI.COMM_SELF
-    outcome = solve_case("feti", seed, comm, comm)
-    assert outcome.kind == "right", outcome.detail
 
 
 def test_every_kind_of_friction_is_drawn():

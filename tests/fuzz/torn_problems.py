@@ -15,7 +15,7 @@ from mpi4py import MPI
 
 import numpy as np
 import scipy.sparse as sp
-from glued import GluedFriction, GluedProblem, Springs, rigid_modes
+from glued import GluedFriction, GluedProblem, Springs, rigid_modes, unknowns_of
 from lattice import box_stiffness, lattice_points
 from numpy.random import Generator
 from numpy.typing import NDArray
@@ -154,6 +154,17 @@ class _Draw:
                 for p in lattice_points(self.n, self.gdim)
             ]
         )
+
+    def nodes_of_body(self, body: int) -> Numbers:
+        """Return the glued nodes of a body, ascending."""
+        return np.unique(
+            np.concatenate([self.nodes_of(c) for c in self.cells if self.body[c] == body])
+        )
+
+    def rigid_modes(self, nodes: Numbers) -> Vector:
+        """Return the rigid motions of glued nodes."""
+        place = {number: position for (_, position), number in self.node.items()}
+        return rigid_modes(np.array([place[int(i)] for i in nodes]) * self.edges / self.n)
 
     def faces(self, cell: Place) -> list[tuple[int, int, Place]]:
         """Return (axis, side, neighbour's place) of all faces of a cell."""
@@ -368,9 +379,7 @@ def _supports(draw: _Draw) -> _Supports:
                     for node in draw.face_nodes(*own[rng.integers(len(own))]):
                         found.value[draw.gdim * int(node) + axis] = float(offset[axis])
         elif kind == "scattered":
-            nodes = np.unique(
-                np.concatenate([draw.nodes_of(c) for c in draw.cells if draw.body[c] == body])
-            )
+            nodes = draw.nodes_of_body(body)
             for node in rng.choice(nodes, size=min(nodes.size, draw.gdim + 1), replace=False):
                 for c in range(draw.gdim):
                     if draw.chance(0.8):
@@ -419,7 +428,7 @@ def _loads(draw: _Draw, held: dict[int, str], C: sp.csr_matrix, gap: Vector) -> 
             cell, axis, side = faces[rng.integers(len(faces))]
             nodes = draw.face_nodes(cell, axis, side)
         elif kind == "weight":
-            nodes = np.unique(np.concatenate([draw.nodes_of(c) for c in cells]))
+            nodes = draw.nodes_of_body(body)
         elif kind == "points":
             nodes = draw.nodes_of(cells[0])[:2]
         else:
@@ -427,10 +436,9 @@ def _loads(draw: _Draw, held: dict[int, str], C: sp.csr_matrix, gap: Vector) -> 
         for c in range(gdim):
             f[gdim * nodes + c] += size * young * direction[c] / nodes.size
         if free and draw.chance(0.3):  # a balanced load
-            every = np.unique(np.concatenate([draw.nodes_of(c) for c in cells]))
-            at = (gdim * every[:, None] + np.arange(gdim)).ravel()
-            place = {v: k for k, v in draw.node.items()}
-            R = rigid_modes(np.array([place[int(i)][1] for i in every]) * draw.edges / draw.n)
+            every = draw.nodes_of_body(body)
+            at = unknowns_of(every, gdim)
+            R = draw.rigid_modes(every)
             f[at] -= R @ (R.T @ f[at])
     return f
 
@@ -441,12 +449,9 @@ def _pressed(draw: _Draw, body: int, size: float, C: sp.csr_matrix, gap: Vector)
     pressure = np.zeros(gap.size)
     pressure[near] = draw.rng.random(near.size) * size / max(1, near.size)
     force = C.T @ pressure
-    every = np.unique(
-        np.concatenate([draw.nodes_of(c) for c in draw.cells if draw.body[c] == body])
-    )
-    at = (draw.gdim * every[:, None] + np.arange(draw.gdim)).ravel()
-    place = {v: k for k, v in draw.node.items()}
-    R = rigid_modes(np.array([place[int(i)][1] for i in every]) * draw.edges / draw.n)
+    every = draw.nodes_of_body(body)
+    at = unknowns_of(every, draw.gdim)
+    R = draw.rigid_modes(every)
     f = np.zeros(force.size)
     f[at] = R @ (R.T @ force[at])
     return f
@@ -513,7 +518,7 @@ def _sparse_rows(
     offsets = np.append(0, np.cumsum([len(n) for n in nodes])).astype(np.int64)
     node = np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
     coefficients = np.concatenate([np.zeros((0, gdim)), *values])
-    columns = (gdim * node[:, None] + np.arange(gdim)).ravel()
+    columns = unknowns_of(node, gdim)
     shape = len(terms), gdim * len(draw.node)
     matrix = sp.csr_matrix((coefficients.ravel(), columns, gdim * offsets), shape=shape)
     zeros = np.zeros(len(terms))
@@ -631,9 +636,7 @@ def _with_friction(draw: _Draw, problem: TornProblem, held: set[str], shift: Vec
 
 def _slide(glued: GluedProblem, S: sp.csr_matrix, directions: int) -> NDArray[np.bool_]:
     """Tell at which sites free unknowns have a part in the slip."""
-    free = np.ones(glued.load.size)
-    free[glued.fixed] = 0.0
-    moves = (abs(S) @ free).reshape(-1, directions) > 1e-8
+    moves = (abs(S) @ glued.is_free).reshape(-1, directions) > 1e-8
     return moves.any(axis=1)
 
 
@@ -655,8 +658,7 @@ def _any_direction(glued: GluedProblem, normals: Vector) -> NDArray[np.bool_]:
     """
     if glued.gdim == 2:
         return np.ones(len(normals), dtype=bool)
-    fixed = np.zeros(glued.load.size)
-    fixed[glued.fixed] = 1.0
+    fixed = 1.0 - glued.is_free
     rows = abs(glued.rows)
     nodes = sp.csr_matrix(
         (
@@ -729,7 +731,7 @@ def _pushed(draw: _Draw, problem: TornProblem) -> TornProblem:
     place = np.argsort(problem.numbers)
     for s in problem.subdomains:
         nodes = place[np.searchsorted(problem.numbers[place], s.nodes)]
-        at = (glued.gdim * nodes[:, None] + np.arange(glued.gdim)).ravel()
+        at = unknowns_of(nodes, glued.gdim)
         subdomains.append(replace(s, load=s.load + left[at]))
         left[at] = 0.0
     draw.story.append("pushed as friction holds")
@@ -744,9 +746,7 @@ def _shifts(draw: _Draw, supports: _Supports) -> Vector:
         if kind in ("clamp", "rollers") and body not in sprung and draw.chance(0.15):
             amount = draw.strain * 10.0 ** draw.rng.uniform(0, 6)
             draw.story.append(f"body {body} is moved by {amount / draw.strain:.1e} displacements")
-            every = np.unique(
-                np.concatenate([draw.nodes_of(c) for c in draw.cells if draw.body[c] == body])
-            )
+            every = draw.nodes_of_body(body)
             for c, way in enumerate(draw.rng.normal(size=draw.gdim)):
                 shift[draw.gdim * every + c] = amount * way
     return shift
@@ -806,7 +806,7 @@ def _in_units(
                 draw.young[cell] * stiffness_unit * box_stiffness(n, draw.edges, draw.poisson)
             ).tocsr()
         K = unit[draw.young[cell]]
-        at = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
+        at = unknowns_of(nodes, gdim)
         spread = sp.csr_matrix(
             (np.ones(at.size), (np.arange(at.size), at)), shape=(at.size, unknowns)
         )
@@ -830,7 +830,7 @@ def _in_units(
         )
     whole_load = np.zeros(unknowns)
     for subdomain, nodes in zip(subdomains, cells.values(), strict=True):
-        np.add.at(whole_load, (gdim * nodes[:, None] + np.arange(gdim)).ravel(), subdomain.load)
+        np.add.at(whole_load, unknowns_of(nodes, gdim), subdomain.load)
 
     fixed = np.array(sorted(supports.value), dtype=np.int64)
     values = np.array([supports.value[int(i)] for i in fixed]) * metre
