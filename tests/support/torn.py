@@ -1,13 +1,12 @@
-"""Torn systems without dolfinx: cubes of trilinear hexahedra, assembled here by Gauss points."""
+"""Torn systems without dolfinx: cubes of trilinear hexahedra."""
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
+from lattice import box_stiffness, lattice_points
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -17,52 +16,17 @@ from fenics_tfeti.feti.dual.problem import DualProblem
 YOUNG, POISSON = 1.0, 0.3
 
 
-def hexahedron(h: float) -> np.ndarray:
-    """Return the stiffness of a cube with edge h, nodes in the order of `itertools.product`."""
-    corners = np.array(list(itertools.product((-1, 1), repeat=3)))
-    mu, lmbda = YOUNG / (2 * (1 + POISSON)), YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON))
-    C = np.zeros((6, 6))
-    C[:3, :3] = lmbda
-    C += np.diag([2 * mu] * 3 + [mu] * 3)
-    K = np.zeros((24, 24))
-    for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=3):
-        one = 1 + corners * np.array(point)
-        gradient = np.stack(
-            [corners[:, i] * np.prod(np.delete(one, i, axis=1), axis=1) / 8 for i in range(3)]
-        ) * (2 / h)
-        strain = np.zeros((6, 24))
-        for i in range(3):
-            strain[i, i::3] = gradient[i]
-        for row, (i, j) in enumerate([(1, 2), (0, 2), (0, 1)], start=3):
-            strain[row, i::3], strain[row, j::3] = gradient[j], gradient[i]
-        K += strain.T @ C @ strain * (h / 2) ** 3
-    return K
-
-
 def cube(n: int, corner=(0, 0, 0), body: int = 0, first: int = 0, load=(0, 0, 0)) -> Subdomain:
     """Return a unit cube of n^3 elements at an integer corner.
 
     Nodes are numbered by position within a body (first + lattice number), so neighbours are glued.
     """
-    h = 1.0 / n
-    lattice = np.array(list(itertools.product(range(n + 1), repeat=3)))
-    number = {tuple(p): i for i, p in enumerate(lattice)}
-    element = hexahedron(h)
-    rows, columns, values = [], [], []
-    for cell in itertools.product(range(n), repeat=3):
-        nodes = [number[tuple(np.add(cell, c))] for c in itertools.product((0, 1), repeat=3)]
-        unknowns = (3 * np.array(nodes)[:, None] + np.arange(3)).ravel()
-        rows.append(np.repeat(unknowns, 24))
-        columns.append(np.tile(unknowns, 24))
-        values.append(element.ravel())
-    size = 3 * len(lattice)
-    K = sp.csr_matrix(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), (size, size)
-    )
+    lattice = lattice_points(n, 3)
+    K = YOUNG * box_stiffness(n, np.ones(3), POISSON)
     place = lattice + n * np.array(corner)
     nodes = first + (place[:, 0] * 1000 + place[:, 1]) * 1000 + place[:, 2]
     force = np.tile(np.asarray(load, float) / len(lattice), len(lattice))
-    return Subdomain(K, force, place * h, nodes.astype(np.int64), body)
+    return Subdomain(K, force, place * (1.0 / n), nodes.astype(np.int64), body)
 
 
 def node_rows(slave, normal, master=-1, gap=0.0, contact: int = 0) -> ContactRows:
