@@ -19,8 +19,6 @@ from torn_problems import TornProblem, draw_torn, torn_system
 
 from fenics_tfeti.feti import TornSolver, parse_options
 
-__all__ = ["solve_case", "tell_case"]
-
 Vector = NDArray[np.float64]
 
 
@@ -30,30 +28,14 @@ MUTATED = 0.05
 
 @dataclass(frozen=True)
 class _Case:
-    """A case and what the package made of it.
-
-    Attributes
-    ----------
-    found : Found
-        The package's answer.
-    glue : callable
-        Returns the glued problem.
-    rtol : float
-        Of the options.
-    story : list of str
-        What was drawn.
-    wrong : bool
-        Whether the system was made wrong on purpose.
-    exact : MeshProblem or None
-        The problem, with exact non-penetration.
-    """
+    """A case and what the package made of it."""
 
     found: Found
     glue: Callable[[], GluedProblem]
     rtol: float
-    story: list[str]
-    wrong: bool = False
-    exact: Any = None
+    story: list[str]  # what was drawn
+    wrong: bool = False  # whether the system was made wrong on purpose
+    exact: Any = None  # the problem, with exact non-penetration
 
     def outcome(self) -> Outcome:
         """Compare with the oracle."""

@@ -53,7 +53,6 @@ from fenics_tfeti.errors import InputError, NotConverged
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["compare_with_friction", "verdict_with_friction"]
 
 # part of a load that is left where forces certainly balance it, and where they certainly do not
 _BALANCED, _UNBALANCED = 1e-8, 1e-6

@@ -12,23 +12,13 @@ from scipy.sparse.csgraph import connected_components
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = ["GluedFriction", "GluedProblem", "Springs", "rigid_modes", "unknowns_of"]
-
 
 @dataclass(frozen=True)
 class Springs:
-    """Elastic supports: energy 1/2 sum_j stiffness_j (rows_j u)^2.
+    """Elastic supports: energy 1/2 sum_j stiffness_j (rows_j u)^2."""
 
-    Attributes
-    ----------
-    rows : (k, n) scipy.sparse.csr_matrix
-        Rows of any length.
-    stiffness : (k,) array
-        Positive [N/m].
-    """
-
-    rows: sp.csr_matrix
-    stiffness: Vector
+    rows: sp.csr_matrix  # (k, n), of any length
+    stiffness: Vector  # (k,), positive [N/m]
 
     def matrix(self) -> sp.csr_matrix:
         """Return the stiffness matrix (n, n)."""
@@ -37,25 +27,14 @@ class Springs:
 
 @dataclass(frozen=True)
 class GluedFriction:
-    """Friction at some contact rows: |t| <= bound + coefficient * lambda against slips.
+    """Friction at some contact rows: |t| <= bound + coefficient * lambda against slips."""
 
-    Attributes
-    ----------
-    row : (k,) integer array
-        The contact row of each site.
-    rows : ((gdim - 1) k, n) scipy.sparse.csr_matrix
-        S: tangents at the slave nodes, minus those at the master nodes; a slip is S u - before [m].
-    before : (k, gdim - 1) array
-        The displacement from which slip is counted [m].
-    bound, coefficient : (k,) arrays
-        Slip bound [N], and coefficient of Coulomb's law.
-    """
-
-    row: Numbers
+    row: Numbers  # (k,), the contact row of each site
+    # S, ((gdim - 1) k, n): tangents at slave nodes, minus those at master nodes
     rows: sp.csr_matrix
-    before: Vector
-    bound: Vector
-    coefficient: Vector
+    before: Vector  # (k, gdim - 1) [m]; a slip is S u - before
+    bound: Vector  # (k,) slip bound [N]
+    coefficient: Vector  # (k,), of Coulomb's law
 
     @property
     def size(self) -> int:
@@ -79,52 +58,21 @@ class GluedProblem:
     """min 1/2 u'(K + springs)u - f'u over u = value on the fixed unknowns, C u <= gap, T u = jump.
 
     With friction of given bounds r the sum of r |s| of the slips s is added.
-
-    Attributes
-    ----------
-    coordinates : (nodes, gdim) array
-        Unknown ``gdim * node + component`` is a displacement of the node.
-    body : (nodes,) integer array
-        A node belongs to one body; the bodies are connected.
-    elastic : (n, n) scipy.sparse.csr_matrix
-        K without springs; its kernel are the rigid motions of the bodies.
-    springs : Springs
-        Elastic supports.
-    load : (n,) array
-        f.
-    fixed : (k,) integer array
-        Unknowns with a prescribed value.
-    values : (k,) array
-        The values.
-    rows : (m, n) scipy.sparse.csr_matrix
-        C: unit normals of the slave nodes, minus those of the master nodes.
-    gap : (m,) array
-        Infinite where there is no condition.
-    contact : (m,) integer array
-        Number of the contact of each row.
-    gap_rounding : (m,) array
-        Rounding errors that the gaps carry, as differences of coordinates do.
-    tied : (t, n) scipy.sparse.csr_matrix
-        T, sums over the slave of unit length; none by default.
-    tied_jump : (t,) array
-        Its right-hand side.
-    friction : GluedFriction or None
-        Friction at contact rows.
     """
 
-    coordinates: Vector
-    body: Numbers
-    elastic: sp.csr_matrix
+    coordinates: Vector  # (nodes, gdim); unknown gdim * node + component is of this node
+    body: Numbers  # (nodes,); a node belongs to one body, and bodies are connected
+    elastic: sp.csr_matrix  # (n, n), K without springs; its kernel are rigid motions of bodies
     springs: Springs
-    load: Vector
-    fixed: Numbers
-    values: Vector
-    rows: sp.csr_matrix
-    gap: Vector
-    contact: Numbers
-    gap_rounding: Vector
-    tied: sp.csr_matrix = field(default_factory=lambda: sp.csr_matrix((0, 0)))
-    tied_jump: Vector = field(default_factory=lambda: np.zeros(0))
+    load: Vector  # (n,), f
+    fixed: Numbers  # (k,), the unknowns with a prescribed value
+    values: Vector  # (k,)
+    rows: sp.csr_matrix  # (m, n), C: unit normals of slave nodes, minus those of master nodes
+    gap: Vector  # (m,), infinite where there is no condition
+    contact: Numbers  # (m,), number of the contact
+    gap_rounding: Vector  # (m,), rounding of gaps that are differences of coordinates
+    tied: sp.csr_matrix = field(default_factory=lambda: sp.csr_matrix((0, 0)))  # (t, n), T
+    tied_jump: Vector = field(default_factory=lambda: np.zeros(0))  # (t,)
     friction: GluedFriction | None = None
 
     def __post_init__(self) -> None:

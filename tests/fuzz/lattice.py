@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 
 Vector = NDArray[np.float64]
 
-__all__ = ["box_stiffness", "element_stiffness", "lattice_points"]
-
 
 def lattice_points(n: int, gdim: int) -> NDArray[np.int64]:
     """Return the (n + 1)^gdim lattice positions of a box of n^gdim elements."""

@@ -28,7 +28,6 @@ from fenics_tfeti.errors import NotConverged
 
 Vector = NDArray[np.float64]
 
-__all__ = ["compare_exact", "check_roles", "check_weak_motions", "draw_mesh_case"]
 
 # of degree 2, unknowns of the largest problems
 UNKNOWNS = 1500
@@ -125,17 +124,10 @@ def _let_slide(problem: MeshProblem, rng: Generator) -> None:
 
 
 def check_weak_motions(problem: MeshProblem, active: int, motions: list[str]) -> None:
-    """Check that motions along tilted facets are named.
+    """Check that motions along tilted facets are named, if the last contact is that of a slider.
 
-    Parameters
-    ----------
-    problem : MeshProblem
-        The problem, whose last contact is that of a slider, if there is one.
-    active : int
-        Number of nodes at which the last contact presses. Rows that are not tilted resist three
-        motions, or two in the plane.
-    motions : list of str
-        Those that the package names.
+    It presses at `active` nodes. Rows that are not tilted resist three motions, or two in the
+    plane.
     """
     if problem.slider is None or problem.grounds[-1].tilt < 1e-6:
         return

@@ -32,18 +32,6 @@ from fenics_tfeti.fem import _compat
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 
-__all__ = [
-    "MeshProblem",
-    "Rubbing",
-    "contact_places",
-    "draw_mesh",
-    "glue",
-    "keep_held_roles",
-    "node_numbers",
-    "penetrations",
-    "pose",
-    "tangents",
-]
 
 CELLS = {"quadrilateral": 2, "triangle": 2, "hexahedron": 3, "tetrahedron": 3}
 FAR = 1e10
@@ -68,31 +56,18 @@ class Joint:
 
 @dataclass(frozen=True)
 class Ground:
-    """A rigid obstacle at a face of a box.
-
-    Attributes
-    ----------
-    kind : str
-        "plane", "sphere" (a ball far below the face), "rough" (gaps of each node by a function) or
-        "patch" (the same, with `far` where there is no obstacle).
-    gap : float
-        Distance, or its size.
-    far : float
-        1e10 or infinite.
-    moved : (gdim,) array
-        A displacement of the obstacle.
-    tilt : float
-        Its facets are tilted by angles between this and its negative; not a sphere's.
-    """
+    """A rigid obstacle at a face of a box."""
 
     box: int
     axis: int
     side: int
+    # "plane", "sphere" (a ball far below the face), "rough" (gaps of each node by a function) or
+    # "patch" (the same, with `far` where there is no obstacle)
     kind: str
-    gap: float
-    far: float
-    moved: Vector
-    tilt: float = 0.0
+    gap: float  # distance, or its size
+    far: float  # 1e10 or infinite
+    moved: Vector  # (gdim,), a displacement of the obstacle
+    tilt: float = 0.0  # facets are tilted by angles up to this; not a sphere's
 
 
 @dataclass(frozen=True)
@@ -118,24 +93,12 @@ class Spring:
 
 @dataclass(frozen=True)
 class Rubbing:
-    """Friction at a contact.
+    """Friction at a contact."""
 
-    Attributes
-    ----------
-    law : str
-        "Tresca" or "Coulomb".
-    value : float
-        Slip bound [Pa], or coefficient.
-    part : float
-        Part of the face that has friction, as a function of points; 1 is a number.
-    moved : (gdim,) array
-        Displacement of the obstacle; zero for pairs.
-    """
-
-    law: str
-    value: float
-    part: float
-    moved: Vector
+    law: str  # "Tresca" or "Coulomb"
+    value: float  # slip bound [Pa], or coefficient
+    part: float  # of the face that has friction, as a function of points; 1 is a number
+    moved: Vector  # (gdim,), displacement of the obstacle; zero for pairs
 
 
 @dataclass
@@ -730,21 +693,12 @@ def glue(problem: MeshProblem) -> GluedProblem:
 
 @dataclass(frozen=True)
 class _Weights:
-    """The conditions of a face.
+    """The conditions of a face."""
 
-    Attributes
-    ----------
-    slave : (k,) integer array
-        The nodes that have a condition, of those of the face.
-    mean : (k, nodes of the face) scipy.sparse.csr_matrix
-        The means of which they are: of sum 1, of degree 1 the identity.
-    area : (k,) array
-        The area that belongs to each.
-    """
-
-    slave: Numbers
+    slave: Numbers  # (k,), the nodes that have a condition, of those of the face
+    # (k, nodes of the face), the means of which they are: of sum 1, of degree 1 the identity
     mean: sp.csr_matrix
-    area: Vector
+    area: Vector  # (k,), the area that belongs to each
 
 
 # integrals of dual functions times shape functions of degree 2: on the unit interval, and on a

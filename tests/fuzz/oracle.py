@@ -17,7 +17,7 @@ with the package.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import scipy.linalg as la
@@ -31,7 +31,6 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-__all__ = ["Answer", "Unsure", "Verdict", "infeasibility", "solve", "without_a_solution"]
 
 # a resistance or a violation between these two, relative to what is compared, is called unsure
 _CERTAINLY_ZERO, _CERTAINLY_NOT = 1e-12, 1e-10
@@ -44,42 +43,26 @@ _EPS = float(np.finfo(float).eps)
 Verdict = Literal["solution", "infeasible", "unbounded", "infeasible and unbounded", "unsure"]
 
 
+_NONE: Any = field(default_factory=lambda: np.zeros(0))
+
+
 @dataclass(frozen=True)
 class Answer:
     """What the oracle says about a problem.
 
-    Attributes
-    ----------
-    verdict : str
-        "solution"; "infeasible" if no displacement fulfils the conditions; "unbounded" if the load
-        does work on a motion that nothing resists; both; "unsure" if rounding decides.
-    why : str
-        In words.
-    displacement : (n,) array
-        u, with the rigid motions that nothing determines chosen somehow.
-    force : (m,) array
-        lambda.
-    tied : (t,) array
-        tau.
-    energy : (bodies,) array
-        u'(K + springs)u of each body.
-    group : (bodies,) integer array
-        Bodies that press on each other have the same number.
-    noise : (bodies,) array
-        What rounding the data does to u, in the energy norm of each body.
-    error : (bodies,) array
-        Bound, up to the constants of the problem, of the oracle's own error in the same norm.
+    It has a solution; it is "infeasible" if no displacement fulfils the conditions, "unbounded" if
+    the load does work on a motion that nothing resists, or both; "unsure" if rounding decides.
     """
 
     verdict: Verdict
     why: str = ""
-    displacement: Vector = field(default_factory=lambda: np.zeros(0))
-    force: Vector = field(default_factory=lambda: np.zeros(0))
-    tied: Vector = field(default_factory=lambda: np.zeros(0))
-    energy: Vector = field(default_factory=lambda: np.zeros(0))
-    group: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    noise: Vector = field(default_factory=lambda: np.zeros(0))
-    error: Vector = field(default_factory=lambda: np.zeros(0))
+    displacement: Vector = _NONE  # (n,); motions that nothing determines are chosen somehow
+    force: Vector = _NONE  # (m,), lambda
+    tied: Vector = _NONE  # (t,), tau
+    energy: Vector = _NONE  # (bodies,), u'(K + springs)u
+    group: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # pressing bodies
+    noise: Vector = _NONE  # (bodies,), what rounding the data does to u, in the energy norm
+    error: Vector = _NONE  # (bodies,), about the bound of the oracle's own error in the same norm
 
 
 class Unsure(Exception):

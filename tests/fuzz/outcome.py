@@ -50,39 +50,18 @@ UNDEFORMED = 1e6 * 2.0**-52
 
 @dataclass(frozen=True)
 class Found:
-    """What the package returned, in the unknowns of the glued problem.
+    """What the package returned, in the unknowns of the glued problem."""
 
-    Attributes
-    ----------
-    displacement : (n,) array or None
-        u, the mean of copies.
-    jump : (nodes,) array
-        Largest difference between copies of each node.
-    force : (m,) array
-        Normal forces by contact row.
-    tied : (t,) array
-        Forces by tied row.
-    tangential : (k, gdim - 1) array
-        Friction forces by site.
-    contact_force : list of float
-        Sums, as reported.
-    energy : float
-        As reported.
-    products : int
-        As reported.
-    error : Exception or None
-        What was raised.
-    """
-
-    displacement: Vector | None = None
-    jump: Vector = field(default_factory=lambda: np.zeros(0))
-    force: Vector = field(default_factory=lambda: np.zeros(0))
-    tied: Vector = field(default_factory=lambda: np.zeros(0))
-    tangential: Vector = field(default_factory=lambda: np.zeros((0, 1)))
+    displacement: Vector | None = None  # (n,), the mean of copies
+    jump: Vector = field(default_factory=lambda: np.zeros(0))  # (nodes,), between copies
+    force: Vector = field(default_factory=lambda: np.zeros(0))  # (m,), by contact row
+    tied: Vector = field(default_factory=lambda: np.zeros(0))  # (t,), by tied row
+    tangential: Vector = field(default_factory=lambda: np.zeros((0, 1)))  # (k, gdim - 1), by site
+    # as reported: sums of normal forces, energy, products
     contact_force: list[float] = field(default_factory=list)
     energy: float = 0.0
     products: int = 0
-    error: Exception | None = None
+    error: Exception | None = None  # what was raised
     trace: str = ""
 
     @property

@@ -26,7 +26,6 @@ Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Place = tuple[int, ...]
 
-__all__ = ["TornProblem", "draw_torn", "torn_system"]
 
 MAX_UNKNOWNS = 600
 FAR = 1e10
@@ -36,42 +35,19 @@ SOFT = 1e-5
 
 @dataclass(frozen=True)
 class TornProblem:
-    """A problem as it is torn, and as a whole.
+    """A problem as it is torn, and as a whole."""
 
-    Attributes
-    ----------
-    subdomains : list of Subdomain
-        All of them; nodes are numbered by `numbers`.
-    numbers : (nodes,) integer array
-        The number that the torn system has for each node of `glued`.
-    glued : GluedProblem
-        The same problem without subdomains.
-    prescribed : Prescribed
-        As given, perhaps several times.
-    contacts : ContactRows
-        The contact rows, in the order of ``glued.rows``.
-    tied : ContactRows
-        The tied rows, in the order of ``glued.tied``.
-    contact_names : list of str
-        Names of contacts and tied pairs.
-    friction : Friction
-        Friction at the contact rows, in the order of ``glued.friction``.
-    options : dict
-        Options of the solver.
-    story : list of str
-        What was drawn, in words.
-    """
-
-    subdomains: list[Subdomain]
-    numbers: Numbers
-    glued: GluedProblem
-    prescribed: Prescribed
+    subdomains: list[Subdomain]  # all of them; nodes are numbered by `numbers`
+    numbers: Numbers  # of the nodes of `glued` in the torn system
+    glued: GluedProblem  # the same problem without subdomains
+    prescribed: Prescribed  # as given, perhaps several times
+    # in the order of the rows and sites of `glued`
     contacts: ContactRows
     tied: ContactRows
-    contact_names: list[str]
+    contact_names: list[str]  # of contacts and tied pairs
     friction: Friction
-    options: dict[str, Any]
-    story: list[str] = field(default_factory=list)
+    options: dict[str, Any]  # of the solver
+    story: list[str] = field(default_factory=list)  # what was drawn, in words
 
 
 def torn_system(

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from qp_problems import Problem
-from scipy.optimize import nnls
+from scipy.optimize import minimize, nnls, root
 
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm, smallest_factor
 
@@ -32,23 +32,27 @@ def random_set(rng, half_lines: int = 5, intervals: int = 3, discs: int = 4) -> 
 @hypothesis.given(
     seed=st.integers(0, 10**6), rows=st.integers(1, 5), scale=st.sampled_from([1e-9, 1.0, 1e9])
 )
-def test_solution_against_a_conic_solver(seed, rows, scale):
+def test_solution_against_the_dual_problem(seed, rows, scale):
+    """x = P(C'y) of the y with Cx = d, by general solvers of equations and of minima."""
     rng = np.random.default_rng(seed)
     feasible, C = random_set(rng), rng.standard_normal((rows, 17))
-    d = C @ feasible.project(rng.standard_normal(17))
+    bounds = feasible.bounds
+    lower, upper = np.full((2, 17), [[-np.inf], [np.inf]])
+    lower[:8], upper[:8] = bounds.lower, bounds.upper
+    nearest = Problem(np.eye(17), np.zeros(17), lower, upper=upper, discs=feasible.discs).nearest
+    d = C @ nearest(rng.standard_normal(17))
     x, residual = least_norm(scale * C, scale * d, feasible)
     assert np.linalg.norm(residual) <= 1e-9 * scale * np.linalg.norm(d)
     np.testing.assert_allclose(feasible.project(x.copy()), x, atol=1e-13)
-    # with orthonormal rows, and the constant d moved into x
-    Q, R = np.linalg.qr(C.T)
-    shift = Q @ np.linalg.solve(R.T, d)
-    lower, upper = np.full(17, -np.inf), np.full(17, np.inf)
-    lower[:8], upper[:8] = feasible.bounds.lower - shift[:8], feasible.bounds.upper - shift[:8]
-    at = feasible.discs.indices
-    discs = Discs(at, -shift[at], feasible.discs.radius)
-    oracle = Problem(np.eye(17), -shift, lower, Q.T, upper, discs).conic_solution()
-    hypothesis.assume(oracle.accurate)
-    np.testing.assert_allclose(x, oracle.x + shift, atol=1e-9)
+
+    def dual(y):
+        z = nearest(C.T @ y)
+        return y @ (C @ z - d) - 0.5 * z @ z, C @ z - d
+
+    start = minimize(dual, np.zeros(rows), jac=True, method="BFGS", tol=1e-10).x
+    oracle = root(lambda y: dual(y)[1], start, tol=1e-14)
+    hypothesis.assume(np.linalg.norm(oracle.fun) <= 1e-13)
+    np.testing.assert_allclose(x, nearest(C.T @ oracle.x), atol=1e-9)
 
 
 @hypothesis.given(seed=st.integers(0, 10**6))
