@@ -389,10 +389,9 @@ def test_limit_of_what_friction_holds(part):
     assert np.all(start[solver.setup.constraints.inequality] >= 0.0)
 
 
-@pytest.mark.parametrize(
-    ("part", "method"),
-    [(0.9, "active_set"), (0.99, "active_set"), (0.999, "active_set"), (0.9, "smalbe")],
-)
+@pytest.mark.parametrize(("part", "method"), [
+    (0.9, "active_set"), (0.99, "active_set"), (0.999, "active_set"), (0.9, "smalbe"),
+])  # fmt: skip
 def test_load_close_to_the_limit(part, method):
     """Few nodes stick, or none: then the directions of the forces balance the load."""
     system = pushed_block(load=(0.16 * part, 0.0, -1.0), bound=0.01)

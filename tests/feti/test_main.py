@@ -70,14 +70,11 @@ def test_last_iterate_is_written_where_the_limit_ends(system, tmp_path, capsys):
     assert np.load(tmp_path / "solution.npz")["displacement"].any()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--rtol", "2"], "option 'rtol' is 2.0"),
-        (["--report", "/proc/none/report.json"], "the report cannot be written"),
-        (["--solution", "/proc/none/solution.npz"], "the solution cannot be written"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--rtol", "2"], "option 'rtol' is 2.0"),
+    (["--report", "/proc/none/report.json"], "the report cannot be written"),
+    (["--solution", "/proc/none/solution.npz"], "the solution cannot be written"),
+])  # fmt: skip
 def test_errors_are_one_line(system, arguments, message, capsys):
     assert main([str(system), *arguments], COMM) == 2
     lines = capsys.readouterr().err.splitlines()

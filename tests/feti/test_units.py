@@ -68,11 +68,9 @@ def loaded(system: TornSystem, *places: tuple[float, float]) -> TornSystem:
 
 
 @METHODS
-@pytest.mark.parametrize(
-    "places",
-    [[(0, 1e-12)], [(0, 1.0)], [(0, 1e12)], [(1, 1.0), (1, -1.0)]],
-    ids=["tiny", "on held nodes", "huge", "copies of glued nodes against each other"],
-)
+@pytest.mark.parametrize("places", [
+    [(0, 1e-12)], [(0, 1.0)], [(0, 1e12)], [(1, 1.0), (1, -1.0)],
+], ids=["tiny", "on held nodes", "huge", "copies of glued nodes against each other"])  # fmt: skip
 def test_a_load_on_held_nodes_or_shared_out_by_glued_ones_moves_nothing(method, places):
     system = loaded(column(load=(0, 0, 0)), *places)
     solution = TornSolver(system, Options(method=method)).solve()

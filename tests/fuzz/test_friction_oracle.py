@@ -39,19 +39,15 @@ def test_solution_is_right(solved):
     assert compare_with_friction(*solved, RTOL).kind == "right"
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda found: {"displacement": found.displacement * (1 + 1e3 * RTOL)},
-        lambda found: {"tangential": -found.tangential},
-        lambda found: {"tangential": found.tangential * (1 + 1e3 * RTOL)},
-        lambda found: {"tangential": 0.0 * found.tangential},
-        lambda found: {"force": found.force * (1 + 1e3 * RTOL)},
-        lambda found: {"energy": 2.0 * found.energy},
-        lambda found: {"jump": found.jump + np.abs(found.displacement).max()},
-    ],
-    ids=["scaled", "against", "above", "without", "forces", "energy", "jumps"],
-)
+@pytest.mark.parametrize("change", [
+    lambda found: {"displacement": found.displacement * (1 + 1e3 * RTOL)},
+    lambda found: {"tangential": -found.tangential},
+    lambda found: {"tangential": found.tangential * (1 + 1e3 * RTOL)},
+    lambda found: {"tangential": 0.0 * found.tangential},
+    lambda found: {"force": found.force * (1 + 1e3 * RTOL)},
+    lambda found: {"energy": 2.0 * found.energy},
+    lambda found: {"jump": found.jump + np.abs(found.displacement).max()},
+], ids=["scaled", "against", "above", "without", "forces", "energy", "jumps"])  # fmt: skip
 def test_wrong_solution_is_wrong(solved, change):
     problem, found = solved
     assert compare_with_friction(problem, replace(found, **change(found)), RTOL).kind == "wrong"

@@ -65,15 +65,12 @@ def test_problem_that_needs_a_mechanism(level, seed):
 
 
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize(
-    ("level", "first", "count"),
-    [
-        pytest.param("feti", 0, 50, marks=pytest.mark.once),
-        ("mesh", 7, 8),
-        pytest.param("feti", 0, 160, marks=pytest.mark.heavy),
-        pytest.param("mesh", 0, 40, marks=pytest.mark.heavy),
-    ],
-)
+@pytest.mark.parametrize(("level", "first", "count"), [
+    pytest.param("feti", 0, 50, marks=pytest.mark.once),
+    ("mesh", 7, 8),
+    pytest.param("feti", 0, 160, marks=pytest.mark.heavy),
+    pytest.param("mesh", 0, 40, marks=pytest.mark.heavy),
+])  # fmt: skip
 def test_random_problems(level, first, count, tmp_path):
     results = tmp_path / "results.jsonl"
     command = [sys.executable, str(RUN), "-n", str(count), "--first", str(first)]

@@ -120,18 +120,14 @@ def test_exact_solution_is_right(pressed):
     assert compare(*pressed, exact(*pressed), RTOL).kind == "right"
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        lambda found: {"displacement": found.displacement * (1 + 100 * RTOL)},
-        lambda found: {"displacement": 0.0 * found.displacement},
-        lambda found: {"force": found.force * (1 + 1e3 * RTOL)},
-        lambda found: {"contact_force": [0.0] * len(found.contact_force)},
-        lambda found: {"energy": 2.0 * found.energy},
-        lambda found: {"jump": found.jump + np.abs(found.displacement).max()},
-    ],
-    ids=["scaled", "nothing", "forces", "sums of forces", "energy", "jumps"],
-)
+@pytest.mark.parametrize("change", [
+    lambda found: {"displacement": found.displacement * (1 + 100 * RTOL)},
+    lambda found: {"displacement": 0.0 * found.displacement},
+    lambda found: {"force": found.force * (1 + 1e3 * RTOL)},
+    lambda found: {"contact_force": [0.0] * len(found.contact_force)},
+    lambda found: {"energy": 2.0 * found.energy},
+    lambda found: {"jump": found.jump + np.abs(found.displacement).max()},
+], ids=["scaled", "nothing", "forces", "sums of forces", "energy", "jumps"])  # fmt: skip
 def test_wrong_solution_is_wrong(pressed, change):
     found = exact(*pressed)
     assert compare(*pressed, replace(found, **change(found)), RTOL).kind == "wrong"

@@ -41,15 +41,12 @@ def corners(tagged):
     return found
 
 
-@pytest.mark.parametrize(
-    ("cell", "interfaces"),
-    [
-        ("triangle", THREE),
-        ("hexahedron", THREE),
-        ("quadrilateral", THREE[:1]),
-        ("tetrahedron", THREE[2:]),
-    ],
-)
+@pytest.mark.parametrize(("cell", "interfaces"), [
+    ("triangle", THREE),
+    ("hexahedron", THREE),
+    ("quadrilateral", THREE[:1]),
+    ("tetrahedron", THREE[2:]),
+])  # fmt: skip
 def test_split_mesh_is_that_of_one_rank(cell, interfaces):
     here = split_interfaces(block(cell, thirds, COMM), interfaces)
     alone = split_interfaces(block(cell, thirds), interfaces)

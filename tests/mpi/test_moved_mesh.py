@@ -47,13 +47,10 @@ def soften(scene):
     scene.young.value = -float(scene.young.value)
 
 
-@pytest.mark.parametrize(
-    ("spoil", "error", "message"),
-    [
-        (flatten, InputError, "cells without area"),
-        (soften, InputError, "diagonal entries are not positive"),
-    ],
-)
+@pytest.mark.parametrize(("spoil", "error", "message"), [
+    (flatten, InputError, "cells without area"),
+    (soften, InputError, "diagonal entries are not positive"),
+])  # fmt: skip
 def test_what_is_wrong_is_an_error_until_it_is_undone(spoil, error, message):
     """Also in the second solve, which would otherwise go on with what was computed before."""
     scene = scenes.two_beams(comm, "quadrilateral")

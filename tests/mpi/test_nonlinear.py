@@ -13,13 +13,10 @@ from fenics_tfeti import Coulomb, InputError, NotConverged
 COMM = MPI.COMM_WORLD
 
 
-@pytest.mark.parametrize(
-    ("make", "arguments", "loads"),
-    [
-        (indented_block, (3, 2), [1.0]),
-        pytest.param(ironing, (Coulomb(0.3), SLIDER, 3), [1.0, 1.05], marks=pytest.mark.heavy),
-    ],
-)
+@pytest.mark.parametrize(("make", "arguments", "loads"), [
+    (indented_block, (3, 2), [1.0]),
+    pytest.param(ironing, (Coulomb(0.3), SLIDER, 3), [1.0, 1.05], marks=pytest.mark.heavy),
+])  # fmt: skip
 def test_same_as_on_one_rank(make, arguments, loads):
     options = {"newton_rtol": 1e-8, "subdomain_size": 60}
     scene, alone = (make(*arguments, comm=comm, **options) for comm in (COMM, MPI.COMM_SELF))

@@ -34,11 +34,10 @@ def test_products_do_not_depend_on_the_jump(preconditioner, pressed):
     assert counts[0] <= 1.2 * counts[1] + 2
 
 
-@pytest.mark.parametrize(
-    ("pressed", "options"),
-    [(False, {"method": "smalbe"}), (True, {"coarse_solver": "iterative"})],
-    ids=["clamped, smalbe", "pressed, iterative"],
-)
+@pytest.mark.parametrize(("pressed", "options"), [
+    (False, {"method": "smalbe"}),
+    (True, {"coarse_solver": "iterative"}),
+], ids=["clamped, smalbe", "pressed, iterative"])  # fmt: skip
 def test_other_methods_converge(pressed, options):
     assert solution(JUMP, pressed, **options).report.converged
 

@@ -41,16 +41,12 @@ def test_same_tangents_as_on_one_rank(name):
         assert abs(part.stiffness - expected.stiffness).max() <= 1e-13
 
 
-@pytest.mark.parametrize(
-    ("name", "options"),
-    [
-        ("2D", {"coarse_solver": "distributed"}),
-        ("2D, slender", {"method": "smalbe"}),
-        ("3D", {}),
-        ("2D, punch held by contact", {}),
-    ],
-    ids=lambda value: " ".join(value.values()) if isinstance(value, dict) else value,
-)
+@pytest.mark.parametrize(("name", "options"), [
+    ("2D", {"coarse_solver": "distributed"}),
+    ("2D, slender", {"method": "smalbe"}),
+    ("3D", {}),
+    ("2D, punch held by contact", {}),
+], ids=lambda value: " ".join(value.values()) if isinstance(value, dict) else value)  # fmt: skip
 def test_same_solution_and_counts_as_on_one_rank(name, options):
     chosen = Options(rtol=1e-8, **options)
     found, alone = (TornSolver(system, chosen).solve() for system in systems(name))

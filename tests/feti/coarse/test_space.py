@@ -32,11 +32,9 @@ def test_coarse_load_and_rigid_motion():
     np.testing.assert_allclose(SPACE.rigid_motion(coarse), SYSTEM.R @ coarse, atol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("active", "motions"),
-    [([], 3), ([0], 2), ([0, 3], 1), ([0, 3, 12], 0), ([0, 1, 2, 3], 1)],
-    ids=["none", "one node", "two nodes", "three nodes", "nodes on a line"],
-)
+@pytest.mark.parametrize(("active", "motions"), [
+    ([], 3), ([0], 2), ([0, 3], 1), ([0, 3, 12], 0), ([0, 1, 2, 3], 1),
+], ids=["none", "one node", "two nodes", "three nodes", "nodes on a line"])  # fmt: skip
 def test_motions_that_equalities_and_some_contact_rows_leave_free(active, motions):
     """The upper cube may sink and tilt about two axes: its kernel of G' by an SVD."""
     contact_nodes = SOLVER.system.contacts.size

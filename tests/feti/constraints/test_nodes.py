@@ -10,17 +10,9 @@ from fenics_tfeti.feti.constraints.nodes import count_copies
 pytestmark = pytest.mark.once
 
 
-@pytest.mark.parametrize(
-    "nodes",
-    [
-        [],
-        [7],
-        [4, 2, 4, 5, 2, 4],
-        [-3, 10**17, -3, 5],
-        [2**61, 2**61 - 1, 2**61],
-    ],
-    ids=["none", "one", "close together", "far apart", "large"],
-)
+@pytest.mark.parametrize("nodes", [
+    [], [7], [4, 2, 4, 5, 2, 4], [-3, 10**17, -3, 5], [2**61, 2**61 - 1, 2**61],
+], ids=["none", "one", "close together", "far apart", "large"])  # fmt: skip
 def test_copies_are_counted_as_by_sorting(nodes):
     nodes = np.array(nodes, dtype=np.int64)
     expected = np.unique(nodes, return_inverse=True, return_counts=True)

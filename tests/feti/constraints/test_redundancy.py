@@ -139,10 +139,9 @@ def coupled_systems() -> dict[str, TornSystem]:
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize(
-    ("name", "coupled"),
-    [("chain", 3), ("walls", 4), ("held", 4), ("orthogonal", 0), ("dropped", 4), ("corner", 5)],
-)
+@pytest.mark.parametrize(("name", "coupled"), [
+    ("chain", 3), ("walls", 4), ("held", 4), ("orthogonal", 0), ("dropped", 4), ("corner", 5),
+])  # fmt: skip
 def test_gram_matrix_is_the_identity_but_for_coupled_rows(name, coupled, weighted):
     system = coupled_systems()[name]
     copies = sum(subdomain.nodes.size for subdomain in system.subdomains)

@@ -149,16 +149,12 @@ def test_rounding_of_prescribed_displacements_violates_nothing(system):
     assert np.count_nonzero(constraints.contacts.own_rows < 0) == 1
 
 
-@pytest.mark.parametrize(
-    "system",
-    [
-        both_sides([-0.3, -0.3 + 1e-9], 0.0),
-        both_sides([-0.2, 0.1], 0.3 - 1e-9),
-        both_sides([0.0, 1e-11], 0.0),
-        both_sides([0.0, 1e-14], 0.0, size=1e-3),
-    ],
-    ids=["penetration", "gap closed", "small", "small, millimetres"],
-)
+@pytest.mark.parametrize("system", [
+    both_sides([-0.3, -0.3 + 1e-9], 0.0),
+    both_sides([-0.2, 0.1], 0.3 - 1e-9),
+    both_sides([0.0, 1e-11], 0.0),
+    both_sides([0.0, 1e-14], 0.0, size=1e-3),
+], ids=["penetration", "gap closed", "small", "small, millimetres"])  # fmt: skip
 def test_prescribed_displacements_that_violate_a_condition(system):
     """Whatever moves elsewhere, and however large other gaps are."""
     system = with_prescribed(system, system.subdomains[0].nodes[:1], [0], 0.02)

@@ -53,11 +53,10 @@ def random_programme(seed: int) -> tuple[np.ndarray, np.ndarray]:
     return A @ A.T + 0.1 * np.eye(8), rng.standard_normal(8)
 
 
-@pytest.mark.parametrize(
-    ("F", "d"),
-    [(CYCLING, LOAD), *map(random_programme, range(4))],
-    ids=["cycle that Newton's method ends", *map(str, range(4))],
-)
+@pytest.mark.parametrize(("F", "d"), [
+    (CYCLING, LOAD),
+    *map(random_programme, range(4)),
+], ids=["cycle that Newton's method ends", *map(str, range(4))])  # fmt: skip
 def test_quadratic_programme(F, d):
     options = Options(rtol=1e-10, dual_operator="explicit")
     solution = TornSolver(springs(F, d), options).solve()
@@ -116,10 +115,9 @@ def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) ->
     return products
 
 
-@pytest.mark.parametrize(
-    ("preconditioner", "scaling"),
-    [("none", "stiffness"), ("lumped", "multiplicity"), ("dirichlet", "stiffness")],
-)
+@pytest.mark.parametrize(("preconditioner", "scaling"), [
+    ("none", "stiffness"), ("lumped", "multiplicity"), ("dirichlet", "stiffness"),
+])  # fmt: skip
 def test_exact_guess_costs_a_linear_solve(preconditioner, scaling):
     options = Options(rtol=1e-5, preconditioner=preconditioner, scaling=scaling)
     system = bowl()

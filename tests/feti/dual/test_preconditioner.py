@@ -192,14 +192,11 @@ def test_without_preconditioner():
     assert TornSolver(column(), Options(preconditioner="none")).setup.preconditioner is None
 
 
-@pytest.mark.parametrize(
-    ("ratio", "excess", "kind", "reason"),
-    [
-        (2.2, 1.0, "lumped", ""),
-        (2.2, 5.0, "dirichlet", "flat or graded cells at interfaces"),
-        (30.0, 1.0, "dirichlet", "nearly incompressible material"),
-    ],
-)
+@pytest.mark.parametrize(("ratio", "excess", "kind", "reason"), [
+    (2.2, 1.0, "lumped", ""),
+    (2.2, 5.0, "dirichlet", "flat or graded cells at interfaces"),
+    (30.0, 1.0, "dirichlet", "nearly incompressible material"),
+])  # fmt: skip
 def test_auto(ratio, excess, kind, reason):
     assert Choice.by_data(MPI.COMM_WORLD, [1.0, ratio], [excess, 0.5]) == Choice(kind, reason)
     assert Choice.by_data(MPI.COMM_SELF, [], []).kind == "lumped"

@@ -52,15 +52,12 @@ def by_newton(solver, rtol, max_products=20_000):
     return problem, found
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "strip",
-        "block",
-        "corner",
-        *(pytest.param(n, marks=heavy) for n in ("groove", "small bounds")),
-    ],
-)
+@pytest.mark.parametrize("name", [
+    "strip",
+    "block",
+    "corner",
+    *(pytest.param(n, marks=heavy) for n in ("groove", "small bounds")),
+])  # fmt: skip
 def test_cost_is_the_smallest_for_any_bounds(name):
     solver = TornSolver(SYSTEMS[name](), Options())
     exact = solver.solve().multipliers

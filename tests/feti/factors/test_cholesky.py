@@ -61,16 +61,12 @@ def test_factor_of_a_tridiagonal_matrix_has_little_fill(package):
 
 
 @each_package
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        -definite(),
-        sp.diags(np.arange(N, dtype=float), format="csr"),
-        definite() * np.nan,
-        sp.csr_matrix(np.ones((200, 200)) - 0.5 * np.eye(200)),
-    ],
-    ids=["negative definite", "singular", "not a number", "dense"],
-)
+@pytest.mark.parametrize("matrix", [
+    -definite(),
+    sp.diags(np.arange(N, dtype=float), format="csr"),
+    definite() * np.nan,
+    sp.csr_matrix(np.ones((200, 200)) - 0.5 * np.eye(200)),
+], ids=["negative definite", "singular", "not a number", "dense"])  # fmt: skip
 def test_matrix_that_is_not_positive_definite_is_refused(package, matrix, capfd):
     """Nothing is printed, though CHOLMOD's supernodal factor would tell by a line of its own."""
     message = f"of order {matrix.shape[0]} is not positive definite"

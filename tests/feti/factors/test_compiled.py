@@ -66,14 +66,11 @@ def test_two_processes_compile_once(copy_compiled, new_cache, tmp_path, monkeypa
     assert sorted(path.suffix for path in new_cache.iterdir()) == [".lock", ".so"]
 
 
-@pytest.mark.parametrize(
-    ("compiler", "reason"),
-    [
-        ("exit 1", "failed: no message"),
-        ("echo 'supernodal.c:1: fatal error: no cholmod.h' >&2; exit 1", "fatal error: no cholmod"),
-        (None, "does not run"),
-    ],
-)
+@pytest.mark.parametrize(("compiler", "reason"), [
+    ("exit 1", "failed: no message"),
+    ("echo 'supernodal.c:1: fatal error: no cholmod.h' >&2; exit 1", "fatal error: no cholmod"),
+    (None, "does not run"),
+])  # fmt: skip
 def test_without_a_compiler_petsc_solves(new_cache, tmp_path, monkeypatch, compiler, reason):
     A = sp.diags([2.0, 4.0], format="csr")
     command = "/no/compiler" if compiler is None else fake_compiler(tmp_path, compiler)

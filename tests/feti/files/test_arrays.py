@@ -43,16 +43,13 @@ def test_arrays_are_the_same(path):
         np.savez_compressed(path, format=np.array(KIND), **arrays)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "shape", "message"),
-    [
-        ("b", "numbers", (None,), "the array 'b' is missing"),
-        ("a", "integers", (None,), "of type float64, expected integers"),
-        ("a", "strings", (None,), "of type float64, expected strings"),
-        ("a", "numbers", (4,), r"shape \(3,\), expected \(4,\)"),
-        ("a", "numbers", (None, 2), r"shape \(3,\), expected \('any', 2\)"),
-    ],
-)
+@pytest.mark.parametrize(("name", "kind", "shape", "message"), [
+    ("b", "numbers", (None,), "the array 'b' is missing"),
+    ("a", "integers", (None,), "of type float64, expected integers"),
+    ("a", "strings", (None,), "of type float64, expected strings"),
+    ("a", "numbers", (4,), r"shape \(3,\), expected \(4,\)"),
+    ("a", "numbers", (None, 2), r"shape \(3,\), expected \('any', 2\)"),
+])  # fmt: skip
 def test_wrong_array_is_named(path, name, kind, shape, message):
     write(path, a=np.arange(3.0))
     with pytest.raises(InputError, match=message) as caught:

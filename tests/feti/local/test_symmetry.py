@@ -101,16 +101,13 @@ def test_further_unknowns_than_those_of_nodes_have_none():
     np.testing.assert_array_equal(group.images, [np.arange(21)])
 
 
-@pytest.mark.parametrize(
-    ("chosen", "expected"),
-    [
-        (lambda x: x[:, 0] >= 0, 8),
-        (lambda x: x[:, 0] == 0, 4),
-        (lambda x: (x[:, 0] == 0) | (x[:, 0] == 1), 8),
-        (lambda x: (x[:, 0] == 0) | (x[:, 1] == 0), 2),
-        (lambda x: x.sum(axis=1) == 0, 1),
-    ],
-)
+@pytest.mark.parametrize(("chosen", "expected"), [
+    (lambda x: x[:, 0] >= 0, 8),
+    (lambda x: x[:, 0] == 0, 4),
+    (lambda x: (x[:, 0] == 0) | (x[:, 0] == 1), 8),
+    (lambda x: (x[:, 0] == 0) | (x[:, 1] == 0), 2),
+    (lambda x: x.sum(axis=1) == 0, 1),
+])  # fmt: skip
 def test_subgroup_of_some_nodes(chosen, expected):
     part = cube(2)
     group = find_symmetries(part.stiffness, part.coordinates)
