@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from fibres import FAR
+from glued_reference import assert_solves, primal_solution
 from prestressed import compression, pressed_block, stressed
-from primal_reference import PrimalSolution, primal_active_set
 from torn import Glued, node_rows
 
 from fenics_tfeti.errors import InputError, UnstableTangent
@@ -64,25 +64,6 @@ def solved(name: str, kind: str = "exact", **options: Any) -> TornSolution:
     return TornSolver(system, Options(rtol=1e-8, **options)).solve()
 
 
-def primal(system: TornSystem) -> tuple[PrimalSolution, list[np.ndarray]]:
-    """Return the solution of the glued bodies by a primal method, and each subdomain's unknowns."""
-    whole, gap = Glued.of(system), system.contacts.gap
-    fixed = np.setdiff1d(np.arange(whole.f.size), whole.free)
-    K, C = sp.csr_matrix(whole.K), sp.csr_matrix(whole.C)
-    return primal_active_set(K, whole.f, fixed, whole.u[fixed], C, gap), whole.places
-
-
-def check_against_primal(found: TornSolution, system: TornSystem) -> None:
-    expected, places = primal(system)
-    assert expected.active.sum() > 0
-    largest = expected.forces.max()
-    np.testing.assert_allclose(found.normal_force, expected.forces, rtol=0.0, atol=1e-6 * largest)
-    size = np.abs(expected.displacement).max()
-    for u, at in zip(found.displacements, places, strict=True):
-        np.testing.assert_allclose(u, expected.displacement[at], rtol=0.0, atol=1e-6 * size)
-    assert found.report.energy == pytest.approx(expected.energy, rel=1e-7)
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -98,7 +79,7 @@ def check_against_primal(found: TornSolution, system: TornSystem) -> None:
 def test_solution_against_the_primal_one(name, options):
     system = pressed_block(**BLOCKS[name])
     found = solved(name, **options)
-    check_against_primal(found, system)
+    assert_solves(found, system)
     assert found.report.deflation["negative"] == negative(system) > 0
     assert found.report.deflation["vectors"] >= found.report.deflation["negative"]
     # slender subdomains buckle: other negative eigenvalues than those of rotations
@@ -116,7 +97,7 @@ def test_products_are_those_of_the_unstressed_block(name):
 def test_tension_is_not_negative(gdim):
     system = pressed_block(gdim, -0.05, layers=1)
     found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-8)).solve()
-    check_against_primal(found, system)
+    assert_solves(found, system)
     assert found.report.deflation["negative"] == 0
     assert found.report.certificate.guaranteed
 
@@ -132,7 +113,7 @@ def test_report_says_that_the_error_is_an_estimate():
 def test_estimate_is_of_the_size_of_the_error():
     system = pressed_block(**BLOCKS["2D"])
     found = TornSolver(prepare_tangents(system, "exact"), Options(rtol=1e-2)).solve()
-    expected, places = primal(system)
+    expected, places = primal_solution(system)
     K = Glued.of(system).K
     difference = np.zeros_like(expected.displacement)
     for u, at in zip(found.displacements, places, strict=True):
@@ -150,7 +131,7 @@ def test_unstable_tangent_is_refused_and_its_projection_is_not():
         TornSolver(prepare_tangents(system, "exact"))
     projected = prepare_tangents(system, "projected")
     found = TornSolver(projected, Options(rtol=1e-8)).solve()
-    check_against_primal(found, projected)
+    assert_solves(found, projected)
     assert found.report.deflation["negative"] == 0
 
 
@@ -169,7 +150,7 @@ def test_body_that_only_contact_holds_is_projected():
     prepared = prepare_tangents(system)
     kernels = {(s.body, s.kernel) for s in prepared.subdomains}
     assert kernels == {(0, "translations"), (1, "rigid")}
-    check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
+    assert_solves(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
 
 
 @pytest.mark.parametrize(("kind", "free"), [("exact", 2), ("projected", 3)])
@@ -234,7 +215,7 @@ def test_stress_is_compared_with_shear(monkeypatch):
     system = prepare_tangents(pressed_block(pressure=0.05))
     assert {part.kernel for part in system.subdomains} == {"translations"}
     found = TornSolver(system, Options(rtol=1e-8)).solve()
-    check_against_primal(found, system)
+    assert_solves(found, system)
     assert found.report.preconditioner == "dirichlet"
 
 
@@ -284,7 +265,7 @@ def test_subdomain_on_springs_has_its_exact_tangent():
     prepared = prepare_tangents(system)
     on_springs = [part for part in prepared.subdomains if part.coordinates[:, -1].min() == 0.0]
     assert {part.kernel for part in on_springs} == {"translations"}
-    check_against_primal(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
+    assert_solves(TornSolver(prepared, Options(rtol=1e-8)).solve(), prepared)
 
 
 @pytest.mark.parametrize("component", [0, 1])
@@ -355,7 +336,7 @@ def test_load_step_reuses_factors_and_directions():
     system = replace(first.system, subdomains=loaded)
     second = TornSolver(system, Options(rtol=1e-8), previous=first)
     assert second.setup.deflation is first.setup.deflation
-    check_against_primal(second.solve(), system)
+    assert_solves(second.solve(), system)
 
 
 def test_kernels_are_saved(tmp_path):

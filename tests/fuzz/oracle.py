@@ -43,7 +43,8 @@ _EPS = float(np.finfo(float).eps)
 Verdict = Literal["solution", "infeasible", "unbounded", "infeasible and unbounded", "unsure"]
 
 
-_NONE: Any = field(default_factory=lambda: np.zeros(0))
+def _none() -> Any:
+    return field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -56,13 +57,13 @@ class Answer:
 
     verdict: Verdict
     why: str = ""
-    displacement: Vector = _NONE  # (n,); motions that nothing determines are chosen somehow
-    force: Vector = _NONE  # (m,), lambda
-    tied: Vector = _NONE  # (t,), tau
-    energy: Vector = _NONE  # (bodies,), u'(K + springs)u
+    displacement: Vector = _none()  # (n,); motions that nothing determines are chosen somehow
+    force: Vector = _none()  # (m,), lambda
+    tied: Vector = _none()  # (t,), tau
+    energy: Vector = _none()  # (bodies,), u'(K + springs)u
     group: Numbers = field(default_factory=lambda: np.zeros(0, dtype=np.int64))  # pressing bodies
-    noise: Vector = _NONE  # (bodies,), what rounding the data does to u, in the energy norm
-    error: Vector = _NONE  # (bodies,), about the bound of the oracle's own error in the same norm
+    noise: Vector = _none()  # (bodies,), what rounding the data does to u, in the energy norm
+    error: Vector = _none()  # (bodies,), about the bound of the oracle's own error in the same norm
 
 
 class Unsure(Exception):
