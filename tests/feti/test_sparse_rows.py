@@ -244,8 +244,15 @@ def test_solution_does_not_depend_on_ranks(name, method):
 
 
 @pytest.mark.ranks(2, 3)
-def test_gram_matrix_is_that_of_all_ranks():
-    constraints, _ = build_constraints(distributed(SYSTEMS["random"](), COMM))
+@pytest.mark.parametrize("weighted", [False, True])
+def test_gram_matrix_is_that_of_all_ranks(weighted):
+    """The identity but for coupled rows, which all ranks number alike."""
+    share = distributed(SYSTEMS["random"](), COMM)
+    weights = [
+        10.0 ** np.random.default_rng(int(s.nodes[0])).uniform(-4.0, 0.0, s.nodes.size)
+        for s in share.subdomains
+    ]
+    constraints, _ = build_constraints(share, np.concatenate(weights) if weighted else None)
     numbers, coupling = constraints.layout.numbers, constraints.coupling
     own = constraints.matrix.multiply(1.0 / np.sqrt(constraints.weights)).tocoo()
     row, column, value = (
@@ -257,6 +264,9 @@ def test_gram_matrix_is_that_of_all_ranks():
     expected = np.eye(len(B))
     expected[np.ix_(coupling.numbers, coupling.numbers)] = coupling.gram.toarray()
     np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
+    held = numbers[coupling.rows]
+    np.testing.assert_array_equal(held, coupling.numbers[coupling.positions])
+    assert np.isin(numbers, coupling.numbers).sum() == held.size
 
 
 @pytest.mark.ranks(2)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 from mpi4py import MPI
 
 import numpy as np
@@ -18,7 +16,6 @@ comm = MPI.COMM_WORLD
 pytestmark = pytest.mark.ranks(2, 3)
 CUBES = [(i, j, k) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 CENTRE, OTHER = 2002002, 2002001  # nodes of eight cubes, and of four of them
-FAR = 4004004  # a node of one cube
 WAYS = ("random", "stiffness", "multiplicity")
 
 
@@ -41,25 +38,6 @@ def system(ranks: MPI.Comm) -> TornSystem:
             np.array([0]),
         )
     return TornSystem(mine[ranks.rank :: ranks.size], prescribed, contacts, 3, comm=ranks)
-
-
-def coupled_system(ranks: MPI.Comm) -> TornSystem:
-    """Return the eight cubes with nodes in several rows; the ranks give the rows in turn."""
-    unit = np.eye(3)
-    rows = [
-        (CENTRE, OTHER, unit[2]),
-        (OTHER, -1, 0.6 * unit[0] + 0.8 * unit[2]),
-        (CENTRE, -1, unit[1]),
-        (FAR, -1, unit[0]),
-        (CENTRE, FAR, 0.8 * unit[1] + 0.6 * unit[2]),
-        (0, -1, unit[0]),
-    ]
-    slave, master, normal = zip(*rows, strict=True)
-    mine = slice(ranks.rank, None, ranks.size)
-    k = len(slave)
-    every = ContactRows.node_to_node(slave, master, normal, np.full(k, 0.1), np.zeros(k, dtype=int))
-    contacts = every.chosen(np.arange(k)[mine])
-    return dataclasses.replace(system(ranks), prescribed=Prescribed(), contacts=contacts)
 
 
 def weights(torn: TornSystem, way: str) -> np.ndarray:
@@ -99,17 +77,3 @@ def test_rows_are_those_of_one_process(way):
         rows.append(np.append(B[-1], ranks.allreduce(float(c[at].sum()))))
     np.testing.assert_allclose(*found, rtol=0.0, atol=1e-13)
     np.testing.assert_allclose(*rows, rtol=0.0, atol=1e-13)
-
-
-@pytest.mark.parametrize("way", WAYS)
-def test_gram_matrix_is_the_identity_but_for_coupled_rows(way):
-    torn = coupled_system(comm)
-    constraints = build_constraints(torn, weights(torn, way))[0]
-    B, coupling = whole(constraints, comm), constraints.coupling
-    expected = np.eye(len(B))
-    expected[np.ix_(coupling.numbers, coupling.numbers)] = coupling.gram.toarray()
-    np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
-    assert coupling.numbers.size == 4
-    held = constraints.layout.numbers[coupling.rows]
-    np.testing.assert_array_equal(held, coupling.numbers[coupling.positions])
-    assert np.isin(constraints.layout.numbers, coupling.numbers).sum() == held.size

@@ -117,7 +117,7 @@ def test_history(expansion, seed):
     problem, rtol = random_problem(seed, 30, equalities=4, condition=1e3), 1e-7
     products, lines = Products(), []
     result = solve(problem, rtol, products=products, monitor=lines.append, expansion=expansion)
-    np.testing.assert_allclose(result.gradient, augmented_gradient(problem, result), atol=1e-12)
+    np.testing.assert_allclose(result.gradient, augmented_gradient(problem, result), atol=1e-13)
     assert lines == result.history
     assert [line.number for line in lines] == list(range(len(lines)))
     assert lines[-1].products == products.total == problem.calls

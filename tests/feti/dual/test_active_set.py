@@ -64,7 +64,7 @@ def test_quadratic_programme(F, d):
     exact = nnls(factor, np.linalg.solve(factor.T, d))[0]
     assert solution.report.converged
     assert solution.report.outer_iterations == 0
-    np.testing.assert_allclose(solution.normal_force, exact, atol=1e-7)
+    np.testing.assert_allclose(solution.normal_force, exact, atol=1e-8)
 
 
 def test_faces_are_solved_more_accurately_where_the_violation_of_signs_does_not_decrease():
