@@ -16,7 +16,6 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_body_names
-from fenics_tfeti.parallel import Directory
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -111,11 +110,9 @@ def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
     empty = comm.bcast(None if whole is None else whole.without_cells())
     share = empty if whole is None else whole
     mesh = _compat.distributed_mesh(comm, share.nodes, share.x, share.cell, share.degree)
-    dim, number = mesh.topology.dim, np.arange(len(share.nodes))
-    directory = Directory(comm, number)
-    _, *columns = directory.collect(number, share.cell_tag, share.facet_tag)
-    input_cells = np.asarray(mesh.topology.original_cell_index, dtype=np.int64)
-    _, cell_tag, tags_of_facets = directory.lookup(input_cells, *columns)
+    dim, cells_of_ranks = mesh.topology.dim, comm.gather(mesh.topology.original_cell_index) or []
+    tags = [(share.cell_tag[cells], share.facet_tag[cells]) for cells in cells_of_ranks]
+    cell_tag, tags_of_facets = comm.scatter(tags)
     facets = cell_facets(mesh)
     # `locate_dofs_topological` of tagged facets needs it, from dolfinx 0.9 on
     mesh.topology.create_connectivity(dim - 1, dim)
