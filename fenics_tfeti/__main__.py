@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
+from timeit import repeat
 from typing import Any
 
 from fenics_tfeti.errors import ContactError, needs_fenicsx
@@ -72,13 +73,8 @@ def blas(rate: float | None = None, loaded: Sequence[str] | None = None) -> str:
 
 def _rate() -> float:
     """Return the operations in a second of products of dense matrices; the best of some."""
-    n, seconds = 384, list[float]()
-    A = np.asfortranarray(np.ones((n, n)))
-    for _ in range(6):
-        begin = time.perf_counter()
-        dgemm(1.0, A, A)
-        seconds.append(time.perf_counter() - begin)
-    return float(2.0 * n**3 / min(seconds))
+    A = np.ones((384, 384), order="F")
+    return 2.0 * len(A) ** 3 / min(repeat(lambda: dgemm(1.0, A, A), number=1, repeat=6))
 
 
 def _loaded_libraries() -> list[str]:
