@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.errors import FactorizationError
+from fenics_tfeti.errors import FactorizationError, InputError, format_point
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.factors.cholesky import SparseCholesky, choose_package
@@ -103,6 +103,11 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
 def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
     """Return a subdomain with its exact or projected tangent."""
     K, x = subdomain.stiffness, subdomain.coordinates_in_frame
+    if not np.isfinite(K.data).all():
+        raise InputError(
+            "the tangent is NaN or infinite in the subdomain around "
+            f"{format_point(subdomain.coordinates.mean(axis=0))}: is the energy smooth there?"
+        )
     if subdomain.is_rigid:
         return subdomain
     stressed = replace(subdomain, kernel="translations")

@@ -84,6 +84,14 @@ def test_residual_that_is_nan(scene):
         problem.solve()
 
 
+def test_tangent_that_is_infinite(scene):
+    u, contacts = scene.problem.u, scene.problem.contacts
+    F = residual(scene, (ufl.inner(ufl.grad(u), ufl.grad(u)) + u[0] ** 1.5) * ufl.dx(degree=2))
+    problem = NonlinearContactProblem(F, u, bcs=scene.problem.bcs, contacts=contacts)
+    with pytest.raises(InputError, match=r"the tangent is NaN or infinite .* around \("):
+        problem.solve()
+
+
 def test_nothing_converges_in_two_steps():
     scene = indented_block(n=4, newton_max_it=2)
     scene.set_load(0.3)
