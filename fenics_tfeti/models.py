@@ -176,11 +176,18 @@ def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:
     dolfinx.fem.DirichletBC
         Zero displacement along the axis.
 
+    Raises
+    ------
+    InputError
+        If there is no such axis.
+
     Examples
     --------
     >>> bcs = [symmetry_plane(V, facet_tags, tag=3, axis=0)]  # doctest: +SKIP
     """
     facet = V.mesh.topology.dim - 1
+    if axis not in range(facet + 1):
+        raise InputError(f"symmetry_plane: axis is {axis!r}; the axes are {[*range(facet + 1)]}")
     V.mesh.topology.create_connectivity(facet, facet + 1)
     dofs = fem.locate_dofs_topological(V.sub(axis), facet, facet_tags.find(tag))
     return fem.dirichletbc(0.0, dofs, V.sub(axis))

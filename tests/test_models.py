@@ -135,6 +135,8 @@ def test_symmetry_plane_holds_the_normal_component_alone(axis):
     expected = 3 * np.flatnonzero(np.isclose(x[:, axis], place)) + axis
     np.testing.assert_array_equal(np.sort(dofs), expected)
     assert not prescribed.any()
+    with pytest.raises(InputError, match=r"axis is 3; the axes are \[0, 1, 2\]"):
+        symmetry_plane(V, tags, 7, 3)
 
 
 def two_boxes(comm, first):

@@ -25,6 +25,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.result import ContactResult
 from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
+from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import folder_of
 from fenics_tfeti.parallel import raise_collectively
 
@@ -116,8 +117,8 @@ def write_fields(
     comm = mesh.comm
     with raise_collectively(comm):
         _check_fields(path, functions)
-        if time is not None and not np.isfinite(time):
-            raise InputError(f"time is {time}; expected a number")
+        if time is not None and not is_number(time):
+            raise InputError(f"time is {time!r}; a finite number is expected")
     degree = max(_compat.geometry_degree(mesh), *(field_degree(function) for function in functions))
     # the writer takes continuous fields of one degree
     functions = [raised_to_degree(function, degree) for function in functions]
