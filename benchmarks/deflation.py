@@ -140,14 +140,13 @@ def dealt(system: TornSystem) -> TornSystem:
 # -- table ---------------------------------------------------------------------------------------
 
 
-def seconds(call: Callable[[], Any], repeats: int) -> float:
-    """Return the smallest processor time of several calls on this rank."""
-    times = []
-    for _ in range(repeats):
-        start = time.process_time()
+def seconds(call: Callable[[], Any], least: float = 0.2) -> float:
+    """Return the mean processor time of a call on this rank, called for so many seconds or more."""
+    start, calls = time.process_time(), 0
+    while (spent := time.process_time() - start) < least:
         call()
-        times.append(time.process_time() - start)
-    return min(times)
+        calls += 1
+    return spent / calls
 
 
 def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
@@ -156,9 +155,9 @@ def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
     solver = TornSolver(system, chosen)
     report = solver.solve().report
     setup, x = solver.setup, np.ones(solver.setup.constraints.size)
-    product = seconds(lambda: setup.F.part(x), 7)
+    product = seconds(lambda: setup.F.part(x))
     plain = setup.without_deflation()
-    price = seconds(lambda: plain.deflated(system, chosen), 3) / product
+    price = seconds(lambda: plain.deflated(system, chosen)) / product
     return {
         "products": report.products["total"] if report.converged else None,
         "energy": report.energy,
@@ -167,7 +166,7 @@ def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
         "bytes": report.deflation["bytes"],
         "solves": report.products["deflation"],
         "price": comm.allreduce(price, MPI.MAX),
-        "deflated": seconds(lambda: setup.part(x), 7) / product,
+        "deflated": seconds(lambda: setup.part(x)) / product,
     }
 
 

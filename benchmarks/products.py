@@ -134,15 +134,10 @@ PROBLEMS: dict[str, Callable[[bool], ContactProblem]] = {
 }
 
 
-def linear_products(solver: TornSolver, multipliers: np.ndarray, rtol: float) -> Products:
+def linear_products(solver: TornSolver, multipliers: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem on the final active set costs from a zero start."""
     problem, constraints = solver.dual_problem(), solver.setup.constraints
-    space, products = constraints.layout.space, Products()
-    # ||b|| of (11.47), as the contact problem's stopping test takes it
-    b = solver.setup.F.load(
-        solver.data.load - solver.setup.F.constraint_forces(solver.data.feasible), solver.data.c
-    )
-    tolerance = rtol * space.norm(solver.setup.projector.P(b))
+    products = Products()
     active = multipliers[constraints.inequality] > 0.0
     projector = Projector.build(solver.setup.projector.coarse_space, active)
     limit, start = solver.options.max_products, np.zeros_like(multipliers)
@@ -197,7 +192,8 @@ def measure(name: str, system: TornSystem, preconditioner: str, rtol: float) -> 
         solver = TornSolver(system, Options(**given, **METHODS[method]))
         solution = solver.solve()
         if method == "active_set":
-            linear = linear_products(solver, solution.multipliers, rtol)
+            tolerance = solution.report.dual_tolerance
+            linear = linear_products(solver, solution.multipliers, tolerance)
         rows.append(row(solution.report, linear, **given, method=method))
     alone = timed_solve(with_options(name, coarse=False, **given))
     coarse = with_options(name, coarse=True, rtol=COARSE_RTOL, preconditioner=preconditioner)
