@@ -306,6 +306,8 @@ class Results(tuple[Any, ...]):
         """Return the result of a contact, by number or name, or those of some numbers."""
         if not self and not isinstance(key, slice):
             raise InputError("there are no results: solve the problem first, and give it contacts")
+        if isinstance(key, int) and not -len(self) <= key < len(self):
+            raise InputError(f"there is no result {key}: there are {len(self)}, counted from 0")
         if not isinstance(key, str):
             return super().__getitem__(key)
         named = [result for result in self if result.name == key]

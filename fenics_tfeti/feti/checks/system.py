@@ -336,7 +336,8 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
         raise InputError(
             f"{what}: {bad.size} of {K.shape[0]} diagonal entries are not positive, the first at "
             f"component {bad[0] % gdim} of node {subdomain.nodes[bad[0] // gdim]}. Is the form "
-            "elasticity with positive moduli, and is every node a vertex of a cell?"
+            "elasticity with positive moduli, integrated over all cells, and is every node a "
+            "vertex of a cell?"
         )
     _check_connected(what, subdomain, gdim)
 
