@@ -25,12 +25,15 @@ from fenics_tfeti.errors import (
 _LAZY = {
     name: f"fenics_tfeti.{module}"
     for module, names in {
-        "fem.contact.automatic": "find_contacts",
-        "fem.contact.description": "Along BoltPreload ContactPair Coulomb Exact LinearRows Mapped "
-        "Nearest PeriodicPair Points RigidObstacle TiedPair Tresca",
-        "fem.contact.obstacles.rigid_body": "RigidBody RigidBodyResult",
-        "fem.contact.obstacles.shapes": "Cylinder FacetedObstacle Plane Sphere",
-        "fem.contact.result": "BoltResult ContactResult FrictionResult Results TiedResult",
+        "fem.contact.descriptions.contacts": "ContactPair Exact RigidObstacle",
+        "fem.contact.descriptions.friction": "Coulomb Tresca",
+        "fem.contact.descriptions.partners": "Along Mapped Nearest Points",
+        "fem.contact.descriptions.rigid_body": "RigidBody",
+        "fem.contact.descriptions.shapes": "Cylinder FacetedObstacle Plane Sphere",
+        "fem.contact.descriptions.ties": "BoltPreload LinearRows PeriodicPair TiedPair",
+        "fem.contact.solution.results": "BoltResult ContactResult FrictionResult Results "
+        "RigidBodyResult TiedResult",
+        "fem.contact.search.automatic": "find_contacts",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",
     }.items()

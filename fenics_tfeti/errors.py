@@ -93,6 +93,12 @@ def wrong_type(name: str, value: Any, expected: str) -> InputError:
     return InputError(f"{name} is a {type(value).__name__}; {expected} is expected")
 
 
+def check_value(fits: bool, name: str, value: object, expected: str) -> None:
+    """Raise the error that an argument has another value than is expected, unless it fits."""
+    if not fits:
+        raise InputError(f"{name} is {value!r}; {expected} is expected")
+
+
 def warn_user(message: str) -> None:
     """Warn with the place of the user's line that has called the package."""
     frame, level = sys._getframe(1), 2

@@ -12,11 +12,11 @@ from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
-from fenics_tfeti.fem.contact.automatic import find_contacts
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
-from fenics_tfeti.fem.contact.result import Results
-from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
+from fenics_tfeti.fem.contact.search.automatic import find_contacts
+from fenics_tfeti.fem.contact.solution.results import Results
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver

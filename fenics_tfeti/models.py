@@ -16,7 +16,8 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_contacts
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, Tie
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells

@@ -14,9 +14,9 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
-from fenics_tfeti.fem.contact.contact import SlaveValues
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
-from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers

@@ -17,9 +17,10 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_residual
-from fenics_tfeti.fem.contact.description import Contact, Tie
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
-from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale

@@ -18,7 +18,7 @@ from scenes import two_beams
 
 import fenics_tfeti
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
+from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 
 COMM = MPI.COMM_WORLD

@@ -15,8 +15,10 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.description import Contact, ContactPair, Exact, Tie, contact_name
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Exact
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:

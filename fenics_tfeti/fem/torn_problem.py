@@ -17,11 +17,13 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.description import Contact, Tie
-from fenics_tfeti.fem.contact.matching import ContactSearch
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies, RigidBody
-from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
+from fenics_tfeti.fem.contact.search.search import ContactSearch
 from fenics_tfeti.fem.decomposition.assembly import TornMesh, prepare_forms
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.decomposition.partition import (

@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, check_value
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
@@ -30,6 +30,17 @@ def is_number(value: Any) -> bool:
     if not isinstance(value, int | float | np.number | np.ndarray) or np.ndim(value):
         return False
     return np.asarray(value).dtype.kind in "iuf" and bool(np.isfinite(value))
+
+
+def is_integer(value: Any) -> bool:
+    """Tell whether a value is an integer; a truth value is none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def check_positive(value: Any, what: str, relative_to: str = "") -> None:
+    """Check a positive number."""
+    expected = "a positive number" + (f", relative to {relative_to}," if relative_to else "")
+    check_value(is_number(value) and value > 0.0, what, value, expected)
 
 
 def as_coordinates(values: Any, what: str) -> Vector:

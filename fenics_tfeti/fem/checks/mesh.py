@@ -21,7 +21,8 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.cells import CellGeometry, check_cells, check_overlaps
-from fenics_tfeti.fem.contact.description import BoltPreload, Contact, ContactPair, Tie
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE

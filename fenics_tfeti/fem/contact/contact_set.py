@@ -12,29 +12,37 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, contact_rows, row_values
-from fenics_tfeti.fem.contact.deformed import DeformedContact, deformed_contact
-from fenics_tfeti.fem.contact.description import BoltPreload, Contact, RigidObstacle, Tie
-from fenics_tfeti.fem.contact.obstacles.rigid_body import (
-    BodyFrame,
-    RigidBodies,
-    RigidBody,
-    RigidBodyResult,
+from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.conditions.friction import (
+    NodalFriction,
+    SlipOrigin,
+    friction_rows,
+    nodal_friction,
 )
-from fenics_tfeti.fem.contact.result import (
+from fenics_tfeti.fem.contact.conditions.pairing import (
+    ContactPairing,
+    SlaveValues,
+    contact_rows,
+    row_values,
+)
+from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
+from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
+from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
+from fenics_tfeti.fem.contact.search.roles import Roles
+from fenics_tfeti.fem.contact.solution.results import (
     BoltResult,
     ContactEntry,
     ContactResult,
     Results,
+    RigidBodyResult,
     TiedResult,
 )
-from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
-from fenics_tfeti.fem.contact.roles import Roles
-from fenics_tfeti.fem.contact.slip import NodalFriction, SlipOrigin, friction_rows, nodal_friction
+from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.ties import Preload, TiedPairing
-from fenics_tfeti.fem.contact.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap

@@ -23,7 +23,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import folder_of

@@ -19,7 +19,7 @@ from dolfinx.fem import Function
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions
-from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain

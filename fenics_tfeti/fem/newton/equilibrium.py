@@ -15,11 +15,11 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.fem.contact.contact import SlaveValues, row_values
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.description import ContactPair
-from fenics_tfeti.fem.contact.obstacles.rigid_body import RigidBodies
-from fenics_tfeti.fem.contact.slip import SlipOrigin
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import ContactResult, InputError
-from fenics_tfeti.fem.contact.contact import SlaveValues
-from fenics_tfeti.fem.contact.result import ContactEntry, Results
+from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
+from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results
 
 
 def test_gathered_nodes_are_in_the_order_of_their_numbers():

@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.deformed import deformed_contact
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contact
 
 COMM = MPI.COMM_WORLD
 

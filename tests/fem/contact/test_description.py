@@ -24,7 +24,7 @@ from fenics_tfeti import (
     TiedPair,
     Tresca,
 )
-from fenics_tfeti.fem.contact.description import contact_name
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
 TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags

@@ -11,7 +11,7 @@ from scenes import GROUND, dimension, pressed_block
 from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidObstacle, Sphere
-from fenics_tfeti.fem.contact.obstacles.conditions import deformed_gaps, match_obstacle
+from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps, match_obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import displacement_space
 from fenics_tfeti.parallel import concatenate_ranks

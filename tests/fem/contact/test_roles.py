@@ -17,7 +17,7 @@ from dolfinx import fem
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Exact
-from fenics_tfeti.fem.contact.roles import nodal_stiffness, roles_ratios
+from fenics_tfeti.fem.contact.search.roles import nodal_stiffness, roles_ratios
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.io import Box, boxes, contact_fields, displacement_space, tag_facets
 

@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import Exact, InputError, RigidObstacle, Tresca
-from fenics_tfeti.fem.contact.slip import tangents
+from fenics_tfeti.fem.contact.conditions.friction import tangents
 from fenics_tfeti.io import contact_fields
 
 

@@ -14,11 +14,11 @@ from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, Plane
-from fenics_tfeti.fem.contact.contact import Terms
-from fenics_tfeti.fem.contact.matching import match_contacts
-from fenics_tfeti.fem.contact.result import ContactEntry, ContactResult
+from fenics_tfeti.fem.contact.conditions.pairing import Terms
+from fenics_tfeti.fem.contact.search.search import match_contacts
+from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
+from fenics_tfeti.fem.contact.solution.transfer import expected_contact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.transfer import expected_contact, gather_solved
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
 COMM = MPI.COMM_WORLD

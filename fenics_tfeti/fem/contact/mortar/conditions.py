@@ -12,7 +12,8 @@ from itertools import permutations
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.contact.contact import Terms
+from fenics_tfeti.fem.contact.conditions.pairing import Terms
+from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
 from fenics_tfeti.fem.contact.mortar.matrices import (
@@ -23,7 +24,6 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     node_areas,
     slave_matrix,
 )
-from fenics_tfeti.fem.contact.pairing_summary import angles_between
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface

@@ -10,7 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.description import ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.typing import Numbers, Vector
 

@@ -13,8 +13,8 @@ from strips import bend, matched, strips
 from dolfinx.fem import Function
 
 from fenics_tfeti import ContactPair, Exact, InputError
-from fenics_tfeti.fem.contact.contact import Terms
-from fenics_tfeti.fem.contact.deformed import deformed_contact
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contact
+from fenics_tfeti.fem.contact.conditions.pairing import Terms
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 TERMS = Terms(

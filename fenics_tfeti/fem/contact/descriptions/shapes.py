@@ -9,8 +9,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -20,9 +18,8 @@ from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, facet_normals
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.tolerances import NO_DIRECTION, NO_OBSTACLE, UNIT_LENGTH
-from fenics_tfeti.fem.user_data import as_coordinates, as_direction, as_points, evaluate, is_number
+from fenics_tfeti.fem.tolerances import NO_DIRECTION
+from fenics_tfeti.fem.user_data import as_coordinates, as_direction, as_points, check_positive
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
@@ -112,7 +109,7 @@ class Sphere:
     def __post_init__(self) -> None:
         """Check the data."""
         as_coordinates(self.centre, "the sphere's centre")
-        _check_radius(self.radius, "sphere")
+        check_positive(self.radius, "the sphere's radius")
 
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
@@ -170,7 +167,7 @@ class Cylinder:
                 f"the cylinder's point {self.point} and axis {self.axis} need three coordinates "
                 "each; in 2D use Sphere, which is a disc there"
             )
-        _check_radius(self.radius, "cylinder")
+        check_positive(self.radius, "the cylinder's radius")
 
     def __call__(self, x: Vector) -> tuple[Vector, Vector]:
         """Return the distances and normals at points x of shape (3, n)."""
@@ -246,8 +243,7 @@ class FacetedObstacle:
         OSError
             If it cannot be read.
         """
-        if not is_number(scale) or scale <= 0.0:
-            raise InputError(f"from_stl: scale is {scale!r}; a positive number is expected")
+        check_positive(scale, "from_stl: scale")
         corners = _stl_corners(Path(path)) * scale
         points, facets = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
         return FacetedObstacle(points, facets.reshape(-1, 3))
@@ -284,70 +280,6 @@ class FacetedObstacle:
         return distance.signed, distance.normal.T
 
 
-def gap_and_normal(
-    comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
-) -> tuple[Vector, Vector]:
-    """Return the gaps (k,) to an obstacle and its unit normals (k, gdim), checked. Collective.
-
-    The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
-    obstacle's normal the opposite of the body's.
-    """
-    gdim = normal.shape[1]
-    with raise_collectively(comm):
-        gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
-    nothing = gap >= NO_OBSTACLE
-    gap = np.where(nothing, np.inf, gap)
-    outward = np.where(nothing[:, None], -normal, outward)
-    if bad := first_wrong(
-        comm, ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)), points[:, :gdim]
-    ):
-        raise InputError(
-            f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
-            f"{bad.number} points, the first at {bad.place}. Only the gap may be +inf, where there "
-            "is no obstacle"
-        )
-    length = np.linalg.norm(outward, axis=1)
-    if bad := first_wrong(comm, np.abs(length - 1.0) > UNIT_LENGTH, points[:, :gdim]):
-        raise InputError(
-            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
-            f"{bad.number} points, the first at {bad.place}. Divide it by its length"
-        )
-    facing = np.sum(outward * normal, axis=1) < 0.0
-    total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
-    if total and not faced:
-        raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all {total} nodes. It has "
-            "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
-            "Cylinder around the body, hollow=True)"
-        )
-    return gap, outward / length[:, None]
-
-
-def _evaluate_obstacle(
-    obstacle: Obstacle, points: Vector, normal: Vector, name: str
-) -> tuple[Vector, Vector]:
-    """Return gap (k,) and normal (k, gdim) from the user's function."""
-    k, gdim = normal.shape
-    if k == 0:  # a user's function may fail for no points
-        return np.zeros(0), np.zeros((0, gdim))
-    values = evaluate(obstacle, points, f"{name}: the obstacle")
-    try:
-        is_pair = isinstance(values, tuple | list) and len(values) == 2 and np.ndim(values[1]) > 0
-        gap, outward = (
-            np.asarray(part, dtype=float) for part in (values if is_pair else (values, -normal.T))
-        )
-    except (TypeError, ValueError):
-        raise InputError(
-            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
-        ) from None
-    if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
-        raise InputError(
-            f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
-            f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
-        )
-    return gap, outward[:gdim].T
-
-
 def _radial_gap(
     x: Vector, outward: Vector, radius: float, hollow: bool, where: str
 ) -> tuple[Vector, Vector]:
@@ -362,11 +294,6 @@ def _radial_gap(
         )
     sign = -1.0 if hollow else 1.0
     return sign * (distance - radius), sign * outward / distance
-
-
-def _check_radius(radius: float, kind: str) -> None:
-    if not is_number(radius) or radius <= 0.0:
-        raise InputError(f"the {kind}'s radius is {radius!r}: a positive number is expected")
 
 
 def _stl_corners(path: Path) -> NDArray[np.float64]:

@@ -13,12 +13,13 @@ from typing import TypeAlias
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import ContactPair, Nearest, NodePartners
+from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, mortar_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
-from fenics_tfeti.fem.contact.nodes import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.pairing_summary import pairing_summaries
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gaps
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes, without_axial_tilt

@@ -15,8 +15,8 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.result import ContactResult
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactGuess, TornSystem

@@ -11,18 +11,18 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.contact.checks import check_separate
-from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
-from fenics_tfeti.fem.contact.description import (
+from fenics_tfeti.fem.contact.conditions.checks import check_separate
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
+from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.partners import (
     Along,
-    ContactPair,
     Mapped,
     Nearest,
     NodePartners,
     Points,
 )
 from fenics_tfeti.fem.contact.mortar.facets import apart
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gaps

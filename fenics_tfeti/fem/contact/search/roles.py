@@ -15,8 +15,8 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import warn_user
-from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, ContactPair
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector

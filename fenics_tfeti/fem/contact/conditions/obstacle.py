@@ -5,16 +5,23 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.contact import ContactPairing, Terms
-from fenics_tfeti.fem.contact.description import RigidObstacle
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
+from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
-from fenics_tfeti.fem.contact.obstacles.shapes import gap_and_normal
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.tolerances import NO_OBSTACLE, UNIT_LENGTH
+from fenics_tfeti.fem.user_data import evaluate
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
 
 
@@ -102,3 +109,67 @@ def deformed_gaps(
 def _padded(points: Vector) -> Vector:
     """Return points (k, gdim) as rows of three coordinates."""
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+
+
+def gap_and_normal(
+    comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return the gaps (k,) to an obstacle and its unit normals (k, gdim), checked. Collective.
+
+    The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
+    obstacle's normal the opposite of the body's.
+    """
+    gdim = normal.shape[1]
+    with raise_collectively(comm):
+        gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
+    nothing = gap >= NO_OBSTACLE
+    gap = np.where(nothing, np.inf, gap)
+    outward = np.where(nothing[:, None], -normal, outward)
+    if bad := first_wrong(
+        comm, ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)), points[:, :gdim]
+    ):
+        raise InputError(
+            f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
+            f"{bad.number} points, the first at {bad.place}. Only the gap may be +inf, where there "
+            "is no obstacle"
+        )
+    length = np.linalg.norm(outward, axis=1)
+    if bad := first_wrong(comm, np.abs(length - 1.0) > UNIT_LENGTH, points[:, :gdim]):
+        raise InputError(
+            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
+            f"{bad.number} points, the first at {bad.place}. Divide it by its length"
+        )
+    facing = np.sum(outward * normal, axis=1) < 0.0
+    total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
+    if total and not faced:
+        raise InputError(
+            f"{name}: the obstacle's normal points away from the body at all {total} nodes. It has "
+            "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
+            "Cylinder around the body, hollow=True)"
+        )
+    return gap, outward / length[:, None]
+
+
+def _evaluate_obstacle(
+    obstacle: Obstacle, points: Vector, normal: Vector, name: str
+) -> tuple[Vector, Vector]:
+    """Return gap (k,) and normal (k, gdim) from the user's function."""
+    k, gdim = normal.shape
+    if k == 0:  # a user's function may fail for no points
+        return np.zeros(0), np.zeros((0, gdim))
+    values = evaluate(obstacle, points, f"{name}: the obstacle")
+    try:
+        is_pair = isinstance(values, tuple | list) and len(values) == 2 and np.ndim(values[1]) > 0
+        gap, outward = (
+            np.asarray(part, dtype=float) for part in (values if is_pair else (values, -normal.T))
+        )
+    except (TypeError, ValueError):
+        raise InputError(
+            f"{name}: the obstacle has to return (gap, normal), or the gap alone"
+        ) from None
+    if gap.shape != (k,) or outward.shape not in ((gdim, k), (3, k)):
+        raise InputError(
+            f"{name}: for points of shape (3, {k}) the obstacle returned a gap of shape "
+            f"{gap.shape} and a normal of shape {outward.shape}; expected ({k},) and ({gdim}, {k})"
+        )
+    return gap, outward[:gdim].T

@@ -13,9 +13,9 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import ContactPairing
-from fenics_tfeti.fem.contact.description import Contact, ContactPair
-from fenics_tfeti.fem.contact.pairing_summary import angles_between
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.summary import angles_between
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong

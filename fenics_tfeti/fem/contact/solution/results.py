@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.rigid.frames import BodyFrame
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -279,6 +280,52 @@ class BoltResult(TiedResult):
         """By how much the shank is shortened, given or found [m]."""
         assert self.entry.shortening is not None
         return self.entry.shortening
+
+
+@dataclass(frozen=True)
+class RigidBodyResult:
+    """The motion of a rigid body and the forces on it; equal on all ranks.
+
+    Attributes
+    ----------
+    name : str
+        Name of the body.
+    translation : list of float
+        Displacement of the reference point, (gdim,) [m].
+    rotation : list of float
+        Axis times angle (3,), in 2D the angle (1,) [rad].
+    force, moment : list of float
+        Sum of the contact forces on the body (gdim,) [N], and their moment about the reference
+        point (3,) [N m], in 2D (1,).
+    reaction, reaction_moment : list of float
+        The same of what holds the body: of prescribed components of the motion and of the spring.
+    """
+
+    name: str
+    translation: list[float]
+    rotation: list[float]
+    force: list[float]
+    moment: list[float]
+    reaction: list[float]
+    reaction_moment: list[float]
+
+    @staticmethod
+    def of(frame: BodyFrame, force: Vector, moment: Vector) -> RigidBodyResult:
+        """Return the result for contact forces and their moment about the origin."""
+        body, gdim = frame.body, frame.body.gdim
+        r = body.point
+        arm = np.cross(r, force) if gdim == 3 else np.array([r[0] * force[1] - r[1] * force[0]])
+        contact = np.append(force, moment - arm)
+        held = 0.0 - (frame.load + contact)
+        return RigidBodyResult(
+            frame.name,
+            frame.motion[:gdim].tolist(),
+            frame.rotation.tolist(),
+            contact[:gdim].tolist(),
+            contact[gdim:].tolist(),
+            held[:gdim].tolist(),
+            held[gdim:].tolist(),
+        )
 
 
 class Results(tuple[Any, ...]):

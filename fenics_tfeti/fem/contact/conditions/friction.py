@@ -16,9 +16,10 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.contact import ContactPairing, SlaveValues, row_values
-from fenics_tfeti.fem.contact.description import Contact, FrictionLaw, RigidObstacle, Tresca
-from fenics_tfeti.fem.contact.result import FrictionResult
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues, row_values
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, Tresca
+from fenics_tfeti.fem.contact.solution.results import FrictionResult
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in

@@ -13,9 +13,10 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError, warn_user
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.checks.cells import check_cells
-from fenics_tfeti.fem.contact.description import ContactPair, FrictionLaw
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
 from fenics_tfeti.fem.contact.mortar.cells import (
     Cells,
     MasterTree,
@@ -38,7 +39,7 @@ from fenics_tfeti.fem.topology import (
     distinct_rows,
     exterior_cell_facets,
 )
-from fenics_tfeti.fem.user_data import is_number
+from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import (
     Directory,
     all_to_all,
@@ -103,11 +104,8 @@ def find_contacts(
     """
     comm = mesh.comm
     with raise_collectively(comm):
-        if distance is not None and not (is_number(distance) and distance > 0.0):
-            raise InputError(
-                f"find_contacts: the distance is {distance!r}; a positive number [m] is expected, "
-                "or None for the size of the facets"
-            )
+        if distance is not None:
+            check_positive(distance, "find_contacts: the distance")
     bodies = find_bodies(mesh, cell_tags)
     check_cells(mesh, bodies)
     facets = ExteriorFacets.of(mesh, bodies)

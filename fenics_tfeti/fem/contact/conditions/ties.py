@@ -14,12 +14,17 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.checks import check_separate
-from fenics_tfeti.fem.contact.description import BoltPreload, LinearRows, PeriodicPair, TiedPair
+from fenics_tfeti.fem.contact.conditions.checks import check_separate
+from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
+from fenics_tfeti.fem.contact.descriptions.ties import (
+    BoltPreload,
+    LinearRows,
+    PeriodicPair,
+    TiedPair,
+)
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
-from fenics_tfeti.fem.contact.obstacles.rigid_body import are_same
-from fenics_tfeti.fem.contact.pairing_summary import angles_between, pairing_summaries
-from fenics_tfeti.fem.contact.pairs import check_covered
+from fenics_tfeti.fem.contact.rigid.frames import are_same
 from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface

@@ -13,30 +13,40 @@ import numpy as np
 from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.checks import (
+from fenics_tfeti.fem.contact.conditions.checks import (
     check_depth,
     check_different_nodes,
     check_different_surfaces,
 )
-from fenics_tfeti.fem.contact.contact import ContactPairing
+from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
+from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs
+from fenics_tfeti.fem.contact.conditions.ties import (
+    TiedPairing,
+    linear_rows,
+    periodic_rows,
+    preload_rows,
+    tie_surfaces,
+)
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
-from fenics_tfeti.fem.contact.description import (
-    BoltPreload,
+from fenics_tfeti.fem.contact.descriptions.contacts import (
     Contact,
     ContactPair,
+    RigidObstacle,
+)
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
+from fenics_tfeti.fem.contact.descriptions.ties import (
+    BoltPreload,
     LinearRows,
     PeriodicPair,
-    RigidObstacle,
     Tie,
     TiedPair,
-    contact_name,
 )
-from fenics_tfeti.fem.contact.obstacles.conditions import match_obstacle
-from fenics_tfeti.fem.contact.obstacles.rigid_body import BodyFrame, RigidBodies, RigidBody
-from fenics_tfeti.fem.contact.pairing_summary import warn_of_deviation
-from fenics_tfeti.fem.contact.pairs import NamedPair, match_pairs
-from fenics_tfeti.fem.contact.rigid_nodes import RigidNodes
-from fenics_tfeti.fem.contact.roles import (
+from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
+from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
+from fenics_tfeti.fem.contact.search.roles import (
     EXCHANGE_RATIO,
     Roles,
     describe_roles,
@@ -49,13 +59,6 @@ from fenics_tfeti.fem.contact.roles import (
 from fenics_tfeti.fem.contact.surfaces.initial_gap import user_gaps
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.contact.ties import (
-    TiedPairing,
-    linear_rows,
-    periodic_rows,
-    preload_rows,
-    tie_surfaces,
-)
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer

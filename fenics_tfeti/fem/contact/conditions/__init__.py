@@ -1,0 +1,1 @@
+"""The conditions of contacts and ties: found, checked, with friction, and on deformed surfaces."""

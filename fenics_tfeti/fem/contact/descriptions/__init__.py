@@ -1,0 +1,1 @@
+"""Contacts and ties as users describe them, checked where they are written."""

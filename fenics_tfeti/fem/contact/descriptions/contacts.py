@@ -1,0 +1,212 @@
+"""What may touch: pairs of surfaces, and surfaces at rigid obstacles."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from typing import Any, Literal, TypeAlias
+
+from fenics_tfeti.errors import InputError, check_value, wrong_type
+from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, check_friction
+from fenics_tfeti.fem.contact.descriptions.partners import NodePartners
+from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
+from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, check_tags, checked_label
+from fenics_tfeti.fem.user_data import (
+    ScalarField,
+    VectorField,
+    as_coordinates,
+    as_direction,
+    check_positive,
+    is_integer,
+    is_number,
+)
+
+InitialGap: TypeAlias = Literal["geometric", "touching"] | ScalarField
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPair(SurfacePair):
+    """Two tagged surfaces that may touch but not penetrate each other.
+
+    Their meshes need not match, and each surface may extend beyond the other. :doc:`/surfaces` says
+    what to choose.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave, master : int
+        Tag of the slave's and of the master's surface.
+    name : str
+        For messages and the report.
+    friction : Tresca or Coulomb, optional
+        The law of friction; by default there is none.
+    initial_gap : "geometric", "touching", float or callable
+        The gap between the undeformed surfaces. By default it is that of the mesh. "touching" sets
+        gaps to zero that are no larger than the distance of the facets from the curved surface. A
+        number or a function of x (3, n) that returns (n,) is a clearance (> 0) or an interference
+        (< 0) at the slave's nodes [m].
+    normal : (gdim,) array-like or callable, optional
+        Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
+        By default the mean of the facets' normals at each node.
+    partial : bool
+        Whether nodes that belong to slave and master, and slave nodes without partner, stay free
+        instead of being an error. Mortar conditions leave slave nodes free in any case that the
+        master does not cover.
+    roles : {"auto", "given"}
+        Whether `slave` and `master` are exchanged where mortar conditions are much better the other
+        way round, or are as given.
+    partners : Nearest, Along, Mapped, Points or "mortar", optional
+        Whether conditions are between pairs of nodes, and how these are found, or mortar
+        conditions. By default they are between nodes where the meshes match, and mortar conditions
+        elsewhere.
+
+    Examples
+    --------
+    >>> ContactPair(facet_tags, slave=5, master=6, name="joint")  # doctest: +SKIP
+    >>> ContactPair(facet_tags, 5, 6, friction=Coulomb(0.3))  # doctest: +SKIP
+    >>> ContactPair(facet_tags, 5, 6, initial_gap=-0.05e-3)  # a shrink fit  # doctest: +SKIP
+    """
+
+    default_name = "contact {} (pair)"
+    friction: FrictionLaw | None = None
+    initial_gap: InitialGap = "geometric"
+    normal: VectorField | None = None
+    partial: bool = False
+    roles: Literal["auto", "given"] = "auto"
+    partners: NodePartners | Literal["mortar"] | None = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = self._checked(
+            "Where it is one surface between two bodies that share its nodes, "
+            "fenics_tfeti.io.split_interfaces makes two of it"
+        )
+        check_friction(self.friction, label)
+        gap = self.initial_gap
+        is_word = isinstance(gap, str) and gap in ("geometric", "touching")
+        check_value(
+            is_word or callable(gap) or is_number(gap),
+            f"{label}: initial_gap",
+            gap,
+            "'geometric', 'touching', a number [m] or a function x (3, n) -> (n,)",
+        )
+        if self.normal is not None and not callable(self.normal):
+            as_direction(self.normal, f"{label}: the normal")
+        partial, roles, partners = self.partial, self.roles, self.partners
+        check_value(isinstance(partial, bool), f"{label}: partial", partial, "True or False")
+        check_value(roles in ("auto", "given"), f"{label}: roles", roles, "'auto' or 'given'")
+        is_mortar = isinstance(partners, str) and partners == "mortar"
+        check_value(
+            is_mortar or partners is None or isinstance(partners, NodePartners),
+            f"{label}: partners",
+            partners,
+            "Nearest(), Along(direction), Mapped(mapping), Points(slave, master), 'mortar' or None",
+        )
+
+
+@dataclass(frozen=True)
+class RigidObstacle:
+    """A tagged surface that may touch but not penetrate a rigid obstacle.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags
+        Tags of facets.
+    slave : int
+        Tag of the surface.
+    obstacle : callable
+        x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
+        the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
+        distance along the surface's own outward normal. Where there is no obstacle, the gap is
+        +inf and the normal is not used. `Plane`, `Sphere` and `Cylinder` are such callables.
+    name : str
+        For messages and the report.
+    friction : Tresca or Coulomb, optional
+        The law of friction; by default there is none.
+    displacement : (gdim,) array-like or callable, optional
+        How far the obstacle has moved at each point since the undeformed state [m], for friction:
+        slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
+        the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
+    body : RigidBody, optional
+        The rigid body with the shape of `obstacle`, moved by its contacts and loads. By default the
+        obstacle is held.
+
+    Examples
+    --------
+    >>> ground = Plane(point=(0, 0, 0), normal=(0, 0, 1))  # doctest: +SKIP
+    >>> RigidObstacle(facet_tags, 7, ground, friction=Coulomb(0.2))  # doctest: +SKIP
+    >>> RigidObstacle(facet_tags, 7, lambda x: x[2] - 0.1 * x[0] ** 2)  # doctest: +SKIP
+    """
+
+    default_name = "contact {} (obstacle)"
+    facet_tags: Any
+    slave: int
+    obstacle: Obstacle
+    _: KW_ONLY
+    name: str = ""
+    friction: FrictionLaw | None = None
+    displacement: VectorField | None = None
+    body: RigidBody | None = None
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        label = checked_label(self)
+        check_tags(self, label, "slave")
+        if self.body is not None and not isinstance(self.body, RigidBody):
+            raise wrong_type(f"{label}: body", self.body, "a RigidBody or None")
+        if self.body is not None and self.displacement is not None:
+            raise InputError(
+                f"{label}: the obstacle has a body, which moves it: leave its displacement out. "
+                "Prescribed components are the body's translation and rotation"
+            )
+        if not callable(self.obstacle):
+            raise wrong_type(
+                f"{label}: the obstacle",
+                self.obstacle,
+                "a function of x that returns (gap, normal) or the gap, such as Plane,",
+            )
+        check_friction(self.friction, label)
+        if self.displacement is not None and self.friction is None:
+            raise InputError(
+                f"{label}: the obstacle's displacement has no effect without friction: leave it "
+                "out, or give it friction. Gaps to a moving obstacle are those that its function "
+                "returns"
+            )
+        if self.displacement is not None and not callable(self.displacement):
+            as_coordinates(self.displacement, f"{label}: the obstacle's displacement")
+
+
+Contact: TypeAlias = ContactPair | RigidObstacle
+
+
+@dataclass(frozen=True)
+class Exact:
+    """Contact conditions that are corrected until the deformed surfaces touch.
+
+    Each pass solves with the normals and gaps of the surfaces that the last one has deformed.
+
+    Attributes
+    ----------
+    tolerance : float
+        Penetration and separation of the deformed surfaces that count as none, relative to the
+        largest displacement; also the angle between contact forces and deformed normals.
+    max_passes : int
+        Limit on the number of passes.
+
+    Examples
+    --------
+    >>> Exact(tolerance=1e-4)
+    Exact(tolerance=0.0001, max_passes=20)
+    """
+
+    tolerance: float = 1e-3
+    max_passes: int = 20
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        check_positive(self.tolerance, "Exact: the tolerance", "the largest displacement")
+        count = self.max_passes
+        check_value(
+            is_integer(count) and count > 0, "Exact: max_passes", count, "a positive integer"
+        )

@@ -1,0 +1,81 @@
+"""Laws of friction."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.errors import check_value, wrong_type
+from fenics_tfeti.fem.user_data import ScalarField, is_number
+
+NodalValue: TypeAlias = ScalarField | Any  # or a Function
+
+
+@dataclass(frozen=True)
+class Tresca:
+    """Friction with a given bound: the tangential traction is at most the slip bound.
+
+    It acts at all nodes that may touch, whether they are pressed or not.
+
+    Attributes
+    ----------
+    slip_bound : float, callable or dolfinx.fem.Function
+        Largest tangential traction [Pa]: a number, a function of x (3, n) [m] that returns (n,), or
+        values at the nodes: a scalar Function of degree 1 on the mesh. With the `measure_weight` of
+        the problem it becomes the largest nodal force.
+
+    Examples
+    --------
+    >>> Tresca(slip_bound=2e6)
+    Tresca(slip_bound=2000000.0)
+    """
+
+    slip_bound: NodalValue
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _check_nodal_value(self.slip_bound, "slip_bound")
+
+
+@dataclass(frozen=True)
+class Coulomb:
+    """Coulomb's law: the tangential traction is at most the coefficient times the pressure.
+
+    Attributes
+    ----------
+    coefficient : float, callable or dolfinx.fem.Function
+        Coefficient of friction: a number, a function of x (3, n) [m] that returns (n,), or values
+        at the nodes: a scalar Function of degree 1 on the mesh.
+
+    Examples
+    --------
+    >>> Coulomb(coefficient=0.3)
+    Coulomb(coefficient=0.3)
+    """
+
+    coefficient: NodalValue
+
+    def __post_init__(self) -> None:
+        """Check the data."""
+        _check_nodal_value(self.coefficient, "coefficient")
+
+
+FrictionLaw: TypeAlias = Tresca | Coulomb
+
+
+def check_friction(law: Any, label: str) -> None:
+    """Check that there is a law of friction, or none."""
+    if law is not None and not isinstance(law, FrictionLaw):
+        expected = "Tresca(slip_bound), Coulomb(coefficient) or None"
+        raise wrong_type(f"{label}: friction", law, expected)
+
+
+def _check_nodal_value(value: Any, label: str) -> None:
+    check_value(
+        callable(value) or isinstance(value, Function) or (is_number(value) and value >= 0.0),
+        label,
+        value,
+        "a finite number, at least 0, a function x (3, n) -> (n,) or a scalar Function of degree 1",
+    )

@@ -1,1 +1,0 @@
-"""Rigid obstacles: their shapes, their conditions, and bodies that move with them."""

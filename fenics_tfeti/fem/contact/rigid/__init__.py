@@ -1,0 +1,1 @@
+"""Rigid bodies among the subdomains: their frames, and the nodes of the mesh that they move."""

@@ -1,0 +1,1 @@
+"""What a solution is at contacts and ties, measured and transferred to other meshes."""
