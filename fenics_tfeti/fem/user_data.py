@@ -14,7 +14,7 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fenics_tfeti.errors import InputError, check_value
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.parallel import raise_collectively
@@ -39,8 +39,9 @@ def is_integer(value: Any) -> bool:
 
 def check_positive(value: Any, what: str, relative_to: str = "") -> None:
     """Check a positive number."""
-    expected = "a positive number" + (f", relative to {relative_to}," if relative_to else "")
-    check_value(is_number(value) and value > 0.0, what, value, expected)
+    if not (is_number(value) and value > 0.0):
+        more = f", relative to {relative_to}" if relative_to else ""
+        raise InputError(f"{what} is {value!r}; a positive number is expected{more}")
 
 
 def as_coordinates(values: Any, what: str) -> Vector:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -167,8 +168,34 @@ class Prescribed:
         _convert(self, condition=np.int64)
 
 
+class SparseRows:
+    """The terms of rows, those of a row from its slave node on one after the other."""
+
+    offsets: Numbers  # (rows + 1,)
+    nodes: Numbers  # (terms,)
+    slaves: Numbers | None  # (rows,): how many of a row's terms are those of the slave's nodes
+
+    @cached_property
+    def row(self) -> Numbers:
+        """The row of each term, (terms,)."""
+        return np.repeat(np.arange(self.offsets.size - 1), np.diff(self.offsets))
+
+    @property
+    def slave(self) -> Numbers:
+        """The slave node of each row, (rows,)."""
+        nodes: Numbers = self.nodes[self.offsets[:-1]]
+        return nodes
+
+    @property
+    def on_slave(self) -> NDArray[np.bool_]:
+        """Whether each term is that of a slave node, (terms,)."""
+        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
+        mask: NDArray[np.bool_] = position < np.asarray(self.slaves)[self.row]
+        return mask
+
+
 @dataclass(frozen=True)
-class ContactRows:
+class ContactRows(SparseRows):
     """Conditions sum_k c_k'u(node_k) <= gap: linearised non-penetration (11.1), (11.7).
 
     The first term of each row is the slave node's; further nodes of the slave follow, then those of
@@ -322,17 +349,6 @@ class ContactRows:
         return int(self.gap.size)
 
     @property
-    def row(self) -> Numbers:
-        """The row of each term, (terms,)."""
-        return np.repeat(np.arange(self.size), np.diff(self.offsets))
-
-    @property
-    def slave(self) -> Numbers:
-        """The slave node of each row, (rows,)."""
-        nodes: Numbers = self.nodes[self.offsets[:-1]]
-        return nodes
-
-    @property
     def length(self) -> Vector:
         """The length D of the sum of the slave's coefficients in each row, (rows,)."""
         lengths: Vector = np.linalg.norm(self._sum_of_slave, axis=1)
@@ -349,13 +365,6 @@ class ContactRows:
         sums = np.zeros((self.size, self.coefficients.shape[1]))
         np.add.at(sums, self.row, np.where(self.on_slave[:, None], self.coefficients, 0.0))
         return sums
-
-    @property
-    def on_slave(self) -> NDArray[np.bool_]:
-        """Whether each term is that of a slave node, (terms,)."""
-        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
-        mask: NDArray[np.bool_] = position < np.asarray(self.slaves)[self.row]
-        return mask
 
 
 @dataclass(frozen=True)

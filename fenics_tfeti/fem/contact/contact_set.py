@@ -46,7 +46,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
 from fenics_tfeti.typing import Numbers, Vector
@@ -149,15 +148,16 @@ class ContactSet:
         rows = contact_rows(self.pairings, self.boundary.nodes.components, numbers)
         for found, positions in zip(self.contacts, self._positions, strict=True):
             if found.on_body is not None:
-                frame = self.bodies.frame_of(found.body)
-                rows = frame.joined(rows, positions, found.on_body.places)
+                frame, places = self.bodies.frame_of(found.body), found.on_body.places
+                of_body = -(rows.length[:, None] * rows.normal)[positions]
+                moved = frame.displacements(frame.body.prescribed_motion, places)
+                rows = frame.joined(rows, positions, places, of_body, moved)
         return self.rigid.joined(rows, self.bodies)
 
     @property
     def _positions(self) -> list[Numbers]:
         """The positions (k,) of each contact's conditions among all of them."""
-        ends = np.cumsum([found.pairing.gap.size for found in self.contacts])
-        return np.split(np.arange(ends[-1]), ends[:-1]) if ends.size else []
+        return _positions([found.pairing.gap.size for found in self.contacts])
 
     def tied_rows(self) -> ContactRows:
         """Return the rows of all ties, one tie after the other. Collective."""
@@ -263,7 +263,7 @@ class ContactSet:
         last = displacements[len(displacements) - len(own) :]
         values[self._own_preloads] = [u @ p.axis for u, (_, p) in zip(last, own, strict=True)]
         self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
-        return {tie.number: value for (tie, _), value in zip(preloads, values, strict=True)}
+        return {tie.number: float(x) for (tie, _), x in zip(preloads, values, strict=True)}
 
     def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
         """Return the motions of all rigid bodies after displacements of subdomains. Collective."""
@@ -326,21 +326,22 @@ class ContactSet:
         moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
         opening = (conditions.gap - moved) / conditions.length
         shortenings = self._shortenings(solution.displacements)
-        contacts, ties, site = [], [], 0
-        for found, rows in zip(self.contacts, self._positions, strict=True):
+        contacts = []
+        sites_of = _positions(
+            [(f.friction is not None) * f.pairing.gap.size for f in self.contacts]
+        )
+        for found, rows, sites in zip(self.contacts, self._positions, sites_of, strict=True):
             if found.on_body is not None:
                 frame = bodies.frame_of(found.body)
                 moved = frame.displacements(frame.motion, found.on_body.places)
                 opening[rows] += np.sum(found.pairing.normal * moved, axis=1)
-            sites = slice(site, site + (0 if found.friction is None else rows.size))
-            site = sites.stop
             contacts.append(self._result(found, opening[rows], solution, rows, sites))
-        row = 0
-        for tie in self.ties:
-            values = solution.tied_force[row : row + tie.pairing.rows.size]
-            row += values.size
-            forces = solution.report.contacts[tie.number]
-            ties.append(self._tied_result(tie, forces, values, shortenings))
+        ties = [
+            self._tied_result(tie, solution, rows, shortenings)
+            for tie, rows in zip(
+                self.ties, _positions([tie.pairing.rows.size for tie in self.ties]), strict=True
+            )
+        ]
         results = [self._body_result(frame, solution) for frame in bodies.frames]
         return SolvedContacts(self, contacts, ties, uh, bodies, results)
 
@@ -361,7 +362,7 @@ class ContactSet:
         opening: Vector,
         solution: TornSolution,
         rows: Numbers,
-        sites: slice,
+        sites: Numbers,
     ) -> ContactResult:
         pairing, friction = found.pairing, found.friction
         force = solution.normal_force[rows]
@@ -384,7 +385,7 @@ class ContactSet:
             pressure=force / pairing.area,
             active=force > 0.0,
             area=pairing.area,
-            coverage=np.ones_like(force) if pairing.coverage is None else pairing.coverage,
+            coverage=pairing.coverage,
             friction=None if friction is None else friction.result(solution, sites, pairing.area),
             comm=self.boundary.nodes.comm,
         )
@@ -392,17 +393,14 @@ class ContactSet:
     def _tied_result(
         self,
         found: FoundTie,
-        forces: ContactForces,
-        row_forces: Vector,
+        solution: TornSolution,
+        rows: Numbers,
         shortenings: Mapping[int, float],
     ) -> TiedResult:
-        """Return the result of a tie from the forces of its rows."""
-        tie, force = found.pairing, found.pairing.forces(row_forces)
-        entry = ContactEntry(**vars(forces), pairing=tie.summary)
+        tie, force = found.pairing, found.pairing.forces(solution.tied_force[rows])
+        entry = ContactEntry(**vars(solution.report.contacts[found.number]), pairing=tie.summary)
         if tie.preload is not None:
-            shortening = tie.preload.shortening
-            if shortening is None:
-                shortening = float(shortenings[found.number])
+            shortening = shortenings.get(found.number, tie.preload.shortening)
             tension = float(np.array(entry.force) @ tie.preload.direction)
             entry = replace(entry, tension=tension, shortening=shortening)
         return (TiedResult if tie.preload is None else BoltResult)(
@@ -467,6 +465,11 @@ class SolvedContacts:
     def gathered(self) -> list[SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank. Collective."""
         return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
+
+
+def _positions(sizes: Sequence[int]) -> list[Numbers]:
+    """Return the positions (k,) of consecutive parts of some sizes."""
+    return np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1]) if sizes else []
 
 
 def _along(normal: Vector, distance: Vector) -> Vector:

@@ -57,10 +57,15 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     So deep are surfaces that lie back to back, each on the far side of its body. The thickness is
     that of the body's bounding box along the normal.
     """
-    comm = space.mesh.comm
-    inside = [(pairing.master >= 0) & (pairing.gap < 0.0) for pairing in pairings]
-    if not comm.allreduce(sum(int(mask.sum()) for mask in inside)):
+    comm, gdim = space.mesh.comm, space.mesh.geometry.dim
+    rows = [np.flatnonzero((p.master >= 0) & (p.gap < 0.0)) for p in pairings]
+    contact = np.repeat(np.arange(len(rows)), [part.size for part in rows])
+    if not comm.allreduce(contact.size):
         return
+    slave, master, normal, gap, points = (
+        np.concatenate([getattr(p, name)[part] for p, part in zip(pairings, rows, strict=True)])
+        for name in ("slave", "master", "normal", "gap", "coordinates")
+    )
     size = _sizes_of_bodies(space, bodies)
     cells = _compat.cell_dofs(space)[: bodies.of_cell.size]
     nodes = NodeMap(space)
@@ -68,27 +73,15 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body[cells] = bodies.of_cell[:, None]
     in_cells = np.unique(cells)
     body_of_node = nodes.sum_at_owners(nodes.to_global(in_cells), body[in_cells], np.maximum)
-    rows = list(zip(pairings, inside, strict=True))
-    normal = np.abs(np.concatenate([pairing.normal[mask] for pairing, mask in rows]))
-    ends = np.array(
-        [np.concatenate([getattr(p, end)[m] for p, m in rows]) for end in ("slave", "master")]
-    )
-    thickness = np.sum(normal * size[nodes.values_at(body_of_node, ends)], axis=2).min(axis=0)
-    of_pairs = np.split(thickness, np.cumsum([mask.sum() for mask in inside])[:-1])
-    too_deep = np.array(
-        [(-p.gap[m] > limit).any() for (p, m), limit in zip(rows, of_pairs, strict=True)]
-    )
-    comm.Allreduce(MPI.IN_PLACE, too_deep, MPI.LOR)
-    for k in np.flatnonzero(too_deep)[:1]:
-        pairing, mask = rows[k]
-        depth, points = -pairing.gap[mask], pairing.coordinates[mask, : normal.shape[1]]
-        deepest = comm.allreduce(float(depth.max(initial=0.0)), MPI.MAX)
-        if bad := first_wrong(comm, depth > of_pairs[k], points):
-            raise InputError(
-                f"{pairing.name}: {bad.number} slave nodes are deeper in the master than one of "
-                f"the bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. Surfaces "
-                "that touch face each other: is one of the tags on the far side of its body?"
-            )
+    of_ends = size[nodes.values_at(body_of_node, np.stack([slave, master]))]
+    thickness = np.sum(np.abs(normal) * of_ends, axis=2).min(axis=0)
+    if bad := first_wrong(comm, -gap > thickness, points[:, :gdim], contact):
+        deepest = -comm.allreduce(float(gap[contact == bad.contact].min(initial=0.0)), MPI.MIN)
+        raise InputError(
+            f"{pairings[bad.contact].name}: {bad.number} slave nodes are deeper in the master than "
+            f"one of the bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. "
+            "Surfaces that touch face each other: is one of the tags on the far side of its body?"
+        )
 
 
 def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:

@@ -29,9 +29,6 @@ from fenics_tfeti.feti.system import ContactRows, Friction
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# squared length of the tangential part of a prescribed direction that counts as none
-_NORMAL_ONLY = 1e-12
-
 
 @dataclass(frozen=True)
 class SlipOrigin:
@@ -56,7 +53,7 @@ class NodalFriction:
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
 
-    def result(self, solution: TornSolution, sites: slice, area: Vector) -> FrictionResult:
+    def result(self, solution: TornSolution, sites: Numbers, area: Vector) -> FrictionResult:
         """Return what a solution is at these sites, with the areas (k,) of the nodes."""
         # on the slave forces are against the tangents
         force, slip = solution.tangential_force[sites], solution.slip[sites]
@@ -88,7 +85,8 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
         tangent: Vector = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
         return tangent[:, None, :]
     along2 = 1.0 - normal**2
-    axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > _NORMAL_ONLY)), axis=1)
+    # but for rounding, a direction has a tangential part
+    axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > 1e-12)), axis=1)
     first = np.identity(3)[axis] - normal[np.arange(k), axis][:, None] * normal
     first /= np.linalg.norm(first, axis=1)[:, None]
     pair: Vector = np.stack([first, np.cross(normal, first)], axis=1)

@@ -10,7 +10,7 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.checks import check_separate
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
@@ -95,9 +95,9 @@ def match_nodes(
     limit = how.tolerance * slave.size
     _check_partners(slave, partners, limit, partial, names)
     paired = partners.distance <= limit
-    _check_one_to_one(slave, master, partners, paired, partial, names)
-
     partner_rows, contact = partners.master[paired], slave.contact[paired]
+    _check_one_to_one(slave, master, partner_rows, partial, names)
+
     angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     if bad := first_wrong(comm, angle > 120.0, slave.points[paired], contact):
@@ -155,11 +155,7 @@ def shared_nodes(
     There must be none but in contacts that are partial and whose master has other nodes.
     """
     is_shared = np.isin(slave.nodes, master)
-    numbers = [
-        np.bincount(contact, minlength=len(names))
-        for contact in (slave.contact[is_shared], tagged_master.contact)
-    ]
-    shared, total = slave.comm.allreduce(np.array(numbers))
+    shared, total = slave.counts(slave.contact[is_shared], tagged_master.contact)
     may_share = partial & (shared < total)
     check_separate(slave, is_shared & ~may_share[slave.contact], names, _SEPARATE)
     if not shared.any():
@@ -335,11 +331,7 @@ def _check_partners(
 ) -> None:
     """Check that all slave nodes have a partner, or in a partial contact at least one."""
     comm, far = slave.comm, partners.distance > limit
-    numbers = [
-        np.bincount(contact, minlength=len(names))
-        for contact in (slave.contact[far], slave.contact)
-    ]
-    missing, total = comm.allreduce(np.array(numbers))
+    missing, total = slave.counts(slave.contact[far], slave.contact)
     wrong = np.flatnonzero((missing > 0) & ~(partial & (missing < total)))
     if not wrong.size:
         return
@@ -363,44 +355,18 @@ def _check_partners(
 
 
 def _check_one_to_one(
-    slave: Surface,
-    master: SurfaceNodes,
-    partners: Partners,
-    paired: Mask,
-    partial: Mask,
-    names: Sequence[str],
+    slave: Surface, master: SurfaceNodes, partner: Numbers, partial: Mask, names: Sequence[str]
 ) -> None:
-    """Check that no two slave nodes have the same partner."""
-    comm = slave.comm
-    shared, counts = np.unique(concatenate_ranks(comm, partners.master[paired]), return_counts=True)
-    shared = shared[counts > 1]
-    if not shared.size:
-        return
-    contact = master.contact[shared].min()
-    shared, extent = shared[master.contact[shared] == contact], slave.extent[contact]
-    concerned = paired & np.isin(partners.master, shared)
-    relative = partners.distance[concerned] / slave.size[concerned]
-    columns = (slave.points[concerned], partners.master[concerned], relative)
-    points, partner, relative = (concatenate_ranks(comm, column) for column in columns)
-    # a tolerance below the second smallest distance of a master node leaves one partner
-    order = np.lexsort((relative, partner))
-    second = order[1:][partner[order][1:] == partner[order][:-1]]
-    # the master's nodes are in the order of their coordinates
-    conflicting = points[partner == shared[0]]
-    places = " and ".join(
-        format_point(point, extent) for point in conflicting[coordinate_order(conflicting)]
-    )
-    remedy = (
-        "Exchange slave and master, or mesh the surfaces alike"
-        if not partial[contact]
-        else f"With a tolerance below {relative[second].min():.2g} some of them stay free; or "
-        "exchange slave and master, or mesh the surfaces alike"
-    )
-    raise InputError(
-        f"{names[contact]}: {shared.size} master nodes are each the partner of several slave "
-        f"nodes, the first at {format_point(master.points[shared[0]], extent)} of those at "
-        f"{places}; the mapping has to be one to one. {remedy}"
-    )
+    """Check that no two slave nodes have the same partner, which are nodes of the master."""
+    number = np.bincount(concatenate_ranks(slave.comm, partner), minlength=len(master.points))
+    if bad := first_wrong(MPI.COMM_SELF, number > 1, master.points, master.contact):
+        lower = "Lower the tolerance, so that some of them stay free; or exchange"
+        raise InputError(
+            f"{names[bad.contact]}: {bad.number} master nodes are each the partner of several "
+            f"slave nodes, the first at {bad.place}; the mapping has to be one to one. "
+            f"{lower if partial[bad.contact] else 'Exchange'} slave and master, or mesh the "
+            "surfaces alike"
+        )
 
 
 def _check_not_crossed(slave: Surface, images: Vector, names: Sequence[str]) -> None:
@@ -409,37 +375,24 @@ def _check_not_crossed(slave: Surface, images: Vector, names: Sequence[str]) -> 
     The images (f, v, gdim) are the coordinates of the partners of the corners of this rank's
     facets, NaN where there is none.
     """
-    corners, normals = slave.corners, slave.at_corners(slave.normal)
-    v, gdim = images.shape[1:]
+    v = images.shape[1]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
-    ends, ends_normals, partners = (
-        corner_values[:, edges].reshape(-1, 2, gdim) for corner_values in (corners, normals, images)
+    ends, normals, partners = (
+        at_corners[:, edges]
+        for at_corners in (slave.corners, slave.at_corners(slave.normal), images)
     )
-    normal = unit(ends_normals.sum(axis=1))
     # tangential components only: gaps may differ from node to node
-    edge = tangential_part(ends[:, 1] - ends[:, 0], normal)
-    image = partners[:, 1] - partners[:, 0]
-    product = np.linalg.norm(edge, axis=1) * np.linalg.norm(image, axis=1)
-    image = tangential_part(image, normal)
+    normal = unit(normals.sum(axis=2))
+    edge, image = (np.diff(part, axis=2)[:, :, 0] for part in (ends, partners))
+    edge = tangential_part(edge, normal)
+    product = np.linalg.norm(edge, axis=2) * np.linalg.norm(image, axis=2)
     # False where there is a NaN
-    crossed = np.sum(edge * image, axis=1) < -RELATIVE_ROUNDING * product
-
-    contact = np.repeat(slave.facet_contact, len(edges))[crossed]
-    crossings = np.concatenate([ends[crossed], partners[crossed]], axis=1)
-    # an edge belongs to two facets: it is listed from its smaller end, and once
-    swap = np.array([b < a for a, b in crossings[:, :2].tolist()], dtype=bool)
-    crossings[swap] = crossings[swap][:, [1, 0, 3, 2]]
-    crossings = np.column_stack([contact, crossings.reshape(-1, 4 * gdim)])
-    crossings = np.unique(concatenate_ranks(slave.comm, crossings), axis=0)
-    if not len(crossings):
-        return
-    crossings = crossings[crossings[:, 0] == crossings[0, 0]]
-    k = int(crossings[0, 0])
-    a, b, partner_a, partner_b = (
-        format_point(p, slave.extent[k]) for p in crossings[0, 1:].reshape(4, gdim)
-    )
-    raise InputError(
-        f"{names[k]}: pairs cross on {len(crossings)} edges of slave facets: the neighbours {a} "
-        f"and {b} have the partners {partner_a} and {partner_b}, which lie in the opposite order. "
-        "Correct the points, mapping or direction, or lower the tolerance"
-    )
+    turned = np.sum(edge * tangential_part(image, normal), axis=2) < -RELATIVE_ROUNDING * product
+    crossed = turned.any(axis=1)
+    middles = slave.corners.mean(axis=1)
+    if bad := first_wrong(slave.comm, crossed, middles, slave.facet_contact):
+        raise InputError(
+            f"{names[bad.contact]}: pairs cross on {bad.number} facets of the slave, the first "
+            f"around {bad.place}: neighbours there have partners that lie in the opposite order. "
+            "Correct the points, mapping or direction, or lower the tolerance"
+        )

@@ -72,7 +72,8 @@ def match_obstacle(
     summaries = pairing_summaries(
         comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
     )
-    return ContactPairing(terms, normal, gap, area, summaries, slave, covered)
+    coverage = np.ones_like(gap)
+    return ContactPairing(terms, normal, gap, area, summaries, slave, covered, coverage)
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

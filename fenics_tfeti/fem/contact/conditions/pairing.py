@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti.system import ContactRows
-from fenics_tfeti.typing import Array, Mask, Numbers, Vector
+from fenics_tfeti.feti.system import ContactRows, SparseRows
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 
 @dataclass(frozen=True)
-class Terms:
+class Terms(SparseRows):
     """Sums of displacements with scalar weights: k sparse rows of t terms (node, weight).
 
     The terms of row i are those from offsets[i] up to offsets[i + 1]: first its slave node, then
@@ -55,27 +55,9 @@ class Terms:
         return Terms(offsets - offsets[0], self.nodes[terms], self.weights[terms], slaves)
 
     @cached_property
-    def row(self) -> Numbers:
-        """The row of each term, (t,)."""
-        return np.repeat(np.arange(self.slaves.size), np.diff(self.offsets))
-
-    @property
-    def on_slave(self) -> Mask:
-        """Whether the node of each term is one of the slave, (t,)."""
-        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
-        on_slave: Mask = position < self.slaves[self.row]
-        return on_slave
-
-    @cached_property
     def scale(self) -> Vector:
         """The sum of the slave's weights of each row, (k,)."""
         return self._sums(np.where(self.on_slave, self.weights, 0.0)[:, None])[:, 0]
-
-    @cached_property
-    def slave(self) -> Numbers:
-        """The slave node of each row, (k,)."""
-        slave: Numbers = self.nodes[self.offsets[:-1]]
-        return slave
 
     @cached_property
     def master(self) -> Numbers:
@@ -126,7 +108,7 @@ class ContactPairing:
     summaries: list[dict[str, Any]]  # of each contact the entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
-    coverage: Vector | None = None  # (k,), see `ContactResult`; 1 by default
+    coverage: Vector  # (k,), see `ContactResult`
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: NDArray[np.bool_] | None = None
     master_surface: Surface | None = None  # None for obstacles

@@ -14,10 +14,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.typing import Array, Numbers, Vector
 
-# share of the area with gaps smaller than the deviation of the facets, above which the user is
-# told: surfaces that touch at a point or on a line have few such nodes around it
-_BLURRED = 0.5
-
 _ENTRIES = (
     *("contact", "discretisation", "pairs", "unmatched", "largest_distance"),
     *("largest_relative_distance", "largest_angle", "smallest_gap", "largest_gap", "mean_gap"),
@@ -70,8 +66,9 @@ def pairing_summaries(
     sums += [np.bincount(contact, weight * values, contacts) for values in means.values()]
     totals = np.array(sums, dtype=float)
     comm.Allreduce(MPI.IN_PLACE, totals)
-    largest = np.array([extremes(comm, v, contact, contacts, -np.inf) for v in maxima.values()])
-    largest[[*maxima].index("smallest_gap")] *= -1.0
+    columns = np.column_stack([*maxima.values()])
+    largest = extremes(comm, columns, contact, contacts, -np.inf)
+    largest[:, [*maxima].index("smallest_gap")] *= -1.0
     entries = []
     for k, (pairs, total, covered, *of_means) in enumerate(totals.T.tolist()):
         entry = dict.fromkeys(_ENTRIES) | {
@@ -82,7 +79,7 @@ def pairing_summaries(
             "covered_area": None if covered_area is None else covered,
         }
         if pairs:
-            entry |= dict(zip(maxima, (0.0 + largest[:, k]).tolist(), strict=True))
+            entry |= dict(zip(maxima, (0.0 + largest[k]).tolist(), strict=True))
         values = dict(zip(means, of_means, strict=True))
         whole = values.pop("weight")
         if whole > 0.0:
@@ -93,7 +90,8 @@ def pairing_summaries(
 
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
     """Warn if the gaps of a contact are mostly smaller than the deviation of its facets."""
-    if (entry["blurred"] or 0.0) <= _BLURRED:
+    # surfaces that touch at a point or on a line have few such nodes around it
+    if (entry["blurred"] or 0.0) <= 0.5:
         return
     mean, deviation = entry["mean_gap"], entry["deviation"]
     kind = "clearance" if mean >= 0.0 else "interference"

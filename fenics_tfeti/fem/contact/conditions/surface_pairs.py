@@ -67,15 +67,12 @@ def match_pairs(
     ]
     facets = tagged_facets(boundary, tagged)
     parts = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
-    alone = [
-        contact.normal is not None or isinstance(contact.partners, NodePartners)
-        for _, contact in pairs
-    ]
-    together = [k for k, single in enumerate(alone) if not single]
-    groups = [together] * bool(together) + [[k] for k, single in enumerate(alone) if single]
     found: dict[int, ContactPairing] = {}
-    for group in groups:
-        found |= _matched(boundary, {k: parts[k] for k in group}, fixed)
+    for k, (_, contact) in enumerate(pairs):
+        if contact.normal is not None or isinstance(contact.partners, NodePartners):
+            found |= _matched(boundary, {k: parts.pop(k)}, fixed)
+    if parts:
+        found |= _matched(boundary, parts, fixed)
     return [found[k] for k in range(len(pairs))]
 
 
@@ -205,9 +202,7 @@ def _match_by_mortar(
 def check_covered(conditions: MortarConditions, slave: Surface, names: Sequence[str]) -> None:
     """Check that the masters cover a part of each slave, and more than slivers. Collective."""
     on_surface = np.searchsorted(slave.nodes, conditions.terms.slave)
-    counted = (slave.facet_contact[conditions.covered], slave.contact[on_surface])
-    numbers = [np.bincount(contact, minlength=len(names)) for contact in counted]
-    facets, rows = slave.comm.allreduce(np.array(numbers))
+    facets, rows = slave.counts(slave.facet_contact[conditions.covered], slave.contact[on_surface])
     for contact in np.flatnonzero(facets == 0)[:1]:
         raise InputError(
             f"{names[contact]}: no facet of the slave has a facet of the master opposite it: along "

@@ -17,6 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.checks import check_separate
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
+from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
 from fenics_tfeti.fem.contact.descriptions.ties import (
     BoltPreload,
     LinearRows,
@@ -25,7 +26,7 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
 )
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
 from fenics_tfeti.fem.contact.rigid.frames import are_same
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
@@ -63,7 +64,6 @@ class Preload:
 class TiedPairing:
     """The equality rows of a tie whose slave nodes this rank owns."""
 
-    name: str
     rows: ContactRows  # the normals are directions of the slave's displacement
     nodes: Numbers  # (k,): slave nodes, ascending
     coordinates: Vector  # (k, 3): of the slave nodes [m]
@@ -73,6 +73,12 @@ class TiedPairing:
     surface: Surface | None = None
     prescribed: Mask | None = None
     preload: Preload | None = None  # of bolts
+
+    @property
+    def name(self) -> str:
+        """The name of the tie."""
+        name: str = self.summary["contact"]
+        return name
 
     @property
     def is_mortar(self) -> bool:
@@ -117,9 +123,8 @@ class TiedPairing:
 
 def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask) -> TiedPairing:
     """Find the conditions of a tied pair, with `prescribed_components`. Collective."""
-    tags, comm = pair.facet_tags, boundary.nodes.comm
-    slave = tagged_surface(boundary, tags, pair.slave, f"slave of {name}")
-    tagged_master = tagged_surface(boundary, tags, pair.master, f"master of {name}")
+    comm = boundary.nodes.comm
+    slave, tagged_master = _surfaces(boundary, pair, name)
     master = gather_nearby(tagged_master, slave)
     with raise_collectively(comm):
         master.check_not_folded(name)
@@ -166,16 +171,18 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
         part.terms.rows(np.tile(axis, (part.area.size, 1)), np.zeros(part.area.size), 0)
         for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
-    return TiedPairing(
-        name,
-        ContactRows.concatenate(components),
-        nodes,
-        slave.coordinates[np.searchsorted(slave.nodes, nodes)],
-        area,
-        summary,
-        slave,
-        fixed,
+    rows_of_all, places = ContactRows.concatenate(components), slave.coordinates
+    places = places[np.searchsorted(slave.nodes, nodes)]
+    return TiedPairing(rows_of_all, nodes, places, area, summary, slave, fixed)
+
+
+def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Surface, Surface]:
+    """Return the slave and the master of a pair. Collective."""
+    slave, master = (
+        tagged_surface(boundary, pair.facet_tags, tag, f"{role} of {name}")
+        for role, tag in (("slave", pair.slave), ("master", pair.master))
     )
+    return slave, master
 
 
 @dataclass(frozen=True)
@@ -210,7 +217,7 @@ class _Match:
             np.nan_to_num(area),
             surface.area.sum(keepdims=True),
         )
-        return TiedPairing(name, rows, self.nodes, self.coordinates, area, summary)
+        return TiedPairing(rows, self.nodes, self.coordinates, area, summary)
 
 
 def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
@@ -287,10 +294,8 @@ def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPai
     shape = (slaves.size, gdim * nodes.total)
     terms = sp.csr_matrix((factor, (row, dofs)), shape).tobsr((1, gdim))
     # the slave's node comes first, then those of the masters
-    slave, row = (
-        slaves // gdim + nodes.first,
-        np.repeat(np.arange(slaves.size), np.diff(terms.indptr)),
-    )
+    slave = slaves // gdim + nodes.first
+    row = np.repeat(np.arange(slaves.size), np.diff(terms.indptr))
     order = np.lexsort((terms.indices, terms.indices != slave[row], row))
     rows = ContactRows(
         terms.indptr,
@@ -299,17 +304,12 @@ def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPai
         np.broadcast_to(np.asarray(given.values, dtype=float), slaves.shape).copy(),
         np.zeros(slaves.size, dtype=np.int64),
     )
-    distinct = np.unique(slave)
-    none, contact = np.zeros(slaves.size), np.zeros(slaves.size, dtype=np.int64)
-    (summary,) = pairing_summaries(nodes.comm, [name], "rows", contact, none, none, contact)
-    return TiedPairing(
-        name,
-        rows,
-        distinct,
-        boundary.coordinates[distinct - nodes.first],
-        np.full(distinct.size, np.nan),
-        summary,
+    distinct, none = np.unique(slave), np.zeros(slaves.size)
+    (summary,) = pairing_summaries(
+        nodes.comm, [name], "rows", rows.contact, none, none, rows.contact
     )
+    places = boundary.coordinates[distinct - nodes.first]
+    return TiedPairing(rows, distinct, places, np.full(distinct.size, np.nan), summary)
 
 
 def _matched(
@@ -319,10 +319,7 @@ def _matched(
 
     Several bodies may have nodes at one place: those of facets that match are partners.
     """
-    slave, tagged_master = (
-        tagged_surface(boundary, pair.facet_tags, tag, f"{role} of {name}")
-        for role, tag in (("slave", pair.slave), ("master", pair.master))
-    )
+    slave, tagged_master = _surfaces(boundary, pair, name)
     master = tagged_master.gathered()
     if isinstance(pair, BoltPreload):
         check_separate(
@@ -341,32 +338,22 @@ def _matched(
     distance = between.min(axis=2)
     size = slave.comm.allreduce(float(slave.size.min(initial=np.inf)), MPI.MIN)
     _check_matching(slave, distance.max(axis=1) > SAME_PLACE * size, x, facet, image, name)
-    normals = (facet_normals(corners[:, : len(t)]) for corners in (x, image[facet]))
-    n, opposite = (a / np.linalg.norm(a, axis=1, keepdims=True) for a in normals)
-    angle = np.repeat(angles_between(n, -opposite)[:, None], numbers.shape[1], axis=1)
+    n, opposite = (unit(facet_normals(ends[:, : len(t)])) for ends in (x, image[facet]))
+    angle = np.repeat(angles_between(n, -opposite), numbers.shape[1])
 
-    local, partner, distance, angle = boundary.nodes.to_owners(
-        numbers.ravel(), master.nodes[partner].ravel(), distance.ravel(), angle.ravel()
-    )
-    order = np.lexsort((angle, local))
-    local, partner, distance, angle = (a[order] for a in (local, partner, distance, angle))
-    last = np.flatnonzero(np.diff(local, append=-1))
-    first = np.append(0, last[:-1] + 1)[: last.size]
-    places = boundary.coordinates[local[last]]
-    if bad := first_wrong(
-        slave.comm,
-        np.maximum.reduceat(partner, first) != np.minimum.reduceat(partner, first)
-        if first.size
-        else np.zeros(0, dtype=bool),
-        places[:, : len(t)],
-    ):
+    all_nodes, partner = boundary.nodes, master.nodes[partner].ravel()
+    columns = np.column_stack([partner, -partner, distance.ravel(), angle])
+    local = np.unique(all_nodes.to_owners(numbers.ravel())[0])
+    largest = all_nodes.sum_at_owners(numbers.ravel(), columns, np.maximum)[local]
+    highest, lowest = largest[:, 0].astype(np.int64), -largest[:, 1].astype(np.int64)
+    places = boundary.coordinates[local]
+    if bad := first_wrong(slave.comm, highest != lowest, places[:, : len(t)]):
         raise InputError(
             f"{name}: {bad.number} nodes of the slave have several partners, the first at "
             f"{bad.place}: the facets of the master around them share no nodes. Exchange slave and "
             "master"
         )
-    nodes = local[last] + boundary.nodes.first
-    return _Match(slave, nodes, places, partner[last], distance[last], angle[last])
+    return _Match(slave, local + all_nodes.first, places, highest, *largest[:, 2:].T)
 
 
 def _check_matching(

@@ -27,19 +27,9 @@ from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# Cosine between the normals of two facets, below which they face each other: 96 degrees.
-FACING = -0.1
-
 # How far the master is looked for, relative to a slave facet's distance from the master's nodes and
 # centres: enough where the surfaces are inclined to each other by up to 60 degrees.
 REACH = 2.0
-
-# Area of a cell, relative to its slave facet, that is rounding.
-_NO_AREA = 1e-12
-
-# Excess of the cells' areas over that of their slave facet, relative to it, above which the master
-# has several layers there.
-_SEVERAL_LAYERS = 1e-6
 
 
 class MasterTree:
@@ -93,7 +83,8 @@ class MasterTree:
         close = overlaps(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
         slave, master = slave[close], master[close]
         normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
-        faces = np.einsum("kd,kd->k", *normals) < FACING
+        # by more than 96 degrees
+        faces = np.einsum("kd,kd->k", *normals) < -0.1
         return slave[faces], master[faces]
 
 
@@ -185,7 +176,8 @@ def overlapping_cells(
         corners,
         area,
     )
-    return cells.select_pairs(cells.pair_area() > _NO_AREA * planes.area[cells.slave])
+    rounding = 1e-12 * planes.area[cells.slave]
+    return cells.select_pairs(cells.pair_area() > rounding)
 
 
 def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
@@ -251,9 +243,8 @@ def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
 
     A layer is what of the facet's pairs is connected through nodes of the master.
     """
-    area = cells.pair_area()
-    total = np.bincount(cells.slave, area, len(planes.area))
-    several = total > (1.0 + _SEVERAL_LAYERS) * planes.area
+    area, limit = cells.pair_area(), (1.0 + 1e-6) * planes.area
+    several = np.bincount(cells.slave, area, len(limit)) > limit
     pairs = np.flatnonzero(several[cells.slave])
     if not pairs.size:
         return cells
@@ -276,10 +267,9 @@ def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
     selected = np.zeros(layer_area.size, dtype=bool)
     filled = np.zeros(len(planes.area))
     for number in order:
-        covered = filled[facet_of_layer[number]]
-        limit = (1.0 + _SEVERAL_LAYERS) * planes.area[facet_of_layer[number]]
-        if covered == 0.0 or covered + layer_area[number] <= limit:
+        slave, covered = facet_of_layer[number], layer_area[number]
+        if filled[slave] == 0.0 or filled[slave] + covered <= limit[slave]:
             selected[number] = True
-            filled[facet_of_layer[number]] += layer_area[number]
+            filled[slave] += covered
     kept[pairs] = selected[layer]
     return cells.select_pairs(kept)

@@ -6,9 +6,6 @@ import numpy as np
 
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# Distance from an edge, relative to the edge's length, within which a point is on it.
-_ON_EDGE = 1e-12
-
 
 def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
     """Intersect intervals (k, 2): lower and upper ends, which are equal where these are apart."""
@@ -48,7 +45,8 @@ def _cut(
     length = np.hypot(*direction)
     tx, ty = direction / length
     distance = tx * (y - start[1]) - ty * (x - start[0])
-    inside = distance >= -_ON_EDGE * length
+    on_edge = 1e-12 * length
+    inside = distance >= -on_edge
     inside &= np.arange(len(x))[:, None] < count
     number = inside.sum(axis=0)
     kept = number > 0

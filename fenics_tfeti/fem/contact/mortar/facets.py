@@ -32,9 +32,6 @@ _PLACES = {
     ),
 }
 
-# Distance between contacts [m], which is exactly 0 between points of the same one.
-_APART = 1e30
-
 
 @dataclass(frozen=True)
 class Facets:
@@ -128,7 +125,7 @@ def apart(x: Vector, contact: Numbers) -> Vector:
 
     Trees of points and boxes with this axis find what is near in the same contact alone.
     """
-    return np.concatenate([x, _APART * contact[..., None]], axis=-1)
+    return np.concatenate([x, 1e30 * contact[..., None]], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -23,13 +23,6 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.typing import Numbers, Vector
 
-# Covered part of a slave facet, relative to its area, below which it is rounding.
-_NOT_COVERED = 1e-11
-
-# Pieces of slave facets that are treated at once, to bound the memory; all of a facet, of which
-# there are 1, 2 or 4.
-_BLOCK = 2048
-
 
 @dataclass(frozen=True)
 class FacetIntegrals:
@@ -67,7 +60,8 @@ def integrate(
     planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
     reach, parts = tree.reach(slave, planes), []
     count = len(slave.pieces) if len(master) else 0
-    for block in batches(max(count, 1), _BLOCK):
+    # to bound the memory; all 1, 2 or 4 pieces of a facet are in the same block
+    for block in batches(max(count, 1), 2048):
         chosen = np.arange(block.start, min(block.stop, count))
         cells = covering_cells(slave, planes, chosen, tree, reach)
         parts.append(_integrate_cells(cells, slave, planes, master, weight))
@@ -100,7 +94,8 @@ def _integrate_cells(
     slave_facet = cells.slave // slave.per_facet
     covered = np.bincount(slave_facet, cells.pair_area(), len(slave))[slave_facet]
     whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)[slave_facet]
-    cells = cells.select_pairs(covered > _NOT_COVERED * whole)
+    rounding = 1e-11 * whole
+    cells = cells.select_pairs(covered > rounding)
     slave_facet, master_facet = cells.slave // slave.per_facet, cells.master // master.per_facet
     facet, pair = np.unique(slave_facet, return_inverse=True)
     t, w = slave.nodes.shape[1], master.nodes.shape[1]

@@ -39,14 +39,6 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # negligible.
 BARELY_COVERED, HARDLY_COVERED, SLIVER_COVERED = 0.4, 0.2, 1e-2
 
-# Entries of a matrix that are rounding, relative to the largest of their row. Without them, a node
-# of flat surfaces with matching meshes is coupled with the one opposite alone.
-_ZERO = 1e-13
-
-# Covered part of a facet, relative to its area, below which its dual functions are replaced by the
-# shape functions: a narrow strip may cross the facet anywhere.
-_NARROW = 1e-4
-
 
 @dataclass(frozen=True)
 class MortarMatrices:
@@ -132,7 +124,8 @@ def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
 def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:
     """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
-    narrow = integrals.covered <= _NARROW * area
+    # a narrow strip may cross the facet anywhere: the functions are the shape functions then
+    narrow = integrals.covered <= 1e-4 * area
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
     ones = integrals.ones[~narrow]
     # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
@@ -156,7 +149,10 @@ def _areas(slave: Facets) -> Vector:
 def _assemble(
     values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]
 ) -> sp.csr_matrix:
-    """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without what is rounding of zeros."""
+    """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without what is rounding of zeros.
+
+    Without it, a node of flat surfaces with matching meshes is coupled with the one opposite alone.
+    """
     # the type of SciPy's indices, of which there are many more than rows and columns
     row = np.repeat(rows.astype(np.int32), columns.shape[1])
     column = np.tile(columns.astype(np.int32), rows.shape[1]).ravel()
@@ -165,6 +161,7 @@ def _assemble(
     if filled.size:
         size = np.abs(matrix.data)
         largest = np.maximum.reduceat(size, matrix.indptr[filled])
-        matrix.data[size <= _ZERO * np.repeat(largest, np.diff(matrix.indptr)[filled])] = 0.0
+        rounding = 1e-13 * np.repeat(largest, np.diff(matrix.indptr)[filled])
+        matrix.data[size <= rounding] = 0.0
     matrix.eliminate_zeros()
     return matrix

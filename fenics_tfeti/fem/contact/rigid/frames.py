@@ -152,13 +152,13 @@ class BodyFrame:
         corners, gdim = self.corners.shape
         return np.repeat(rows, corners), np.tile(self.nodes, rows.size), sums.reshape(-1, gdim)
 
-    def joined(self, rows: ContactRows, positions: Numbers, points: Vector) -> ContactRows:
-        """Return rows with the body at points (k, gdim) as the master at some positions (k,)."""
-        sums = (rows.length[:, None] * rows.normal)[positions]
-        moved = self.displacements(self.body.prescribed_motion, points)
-        joined, gap = rows.with_terms(*self.terms(positions, points, -sums)), rows.gap.copy()
-        gap[positions] += np.sum(sums * moved, axis=1)
-        return replace(joined, gap=gap)
+    def joined(
+        self, rows: ContactRows, row: Numbers, points: Vector, coefficients: Vector, moved: Vector
+    ) -> ContactRows:
+        """Return rows with terms (t,) at points of the body, which are moved (t, gdim) anyway."""
+        gap = rows.gap.copy()
+        np.subtract.at(gap, row, np.sum(coefficients * moved, axis=1))
+        return replace(rows.with_terms(*self.terms(row, points, coefficients)), gap=gap)
 
 
 @dataclass(frozen=True)

@@ -138,20 +138,12 @@ class RigidNodes:
         places, shift = self._state(bodies)
         nodal = self.nodes.values_at(np.hstack([places, shift]), rows.nodes[on])
         places, shift = np.split(nodal, 2, axis=1)
-        c, row = rows.coefficients[on], rows.row
-        gap = rows.gap.copy()
-        np.subtract.at(gap, row[on], np.sum(c * shift, axis=1))
-        offsets = np.append(0, np.cumsum(np.bincount(row[~on], minlength=rows.size)))
-        joined = replace(
-            rows,
-            offsets=offsets,
-            nodes=rows.nodes[~on],
-            coefficients=rows.coefficients[~on],
-            gap=gap,
-        )
+        columns = (rows.row[on], places, rows.coefficients[on], shift)
+        offsets = np.append(0, np.cumsum(np.bincount(rows.row[~on], minlength=rows.size)))
+        nodes, coefficients = rows.nodes[~on], rows.coefficients[~on]
+        joined = replace(rows, offsets=offsets, nodes=nodes, coefficients=coefficients)
         for k, frame in enumerate(bodies.frames[: len(self.bodies)]):
-            of_body = number[on] == k
-            joined = joined.with_terms(*frame.terms(row[on][of_body], places[of_body], c[of_body]))
+            joined = frame.joined(joined, *(column[number[on] == k] for column in columns))
         return joined
 
     def relative_to_unknowns(

@@ -33,12 +33,7 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.topology import (
-    batches,
-    cell_facets,
-    distinct_rows,
-    exterior_cell_facets,
-)
+from fenics_tfeti.fem.topology import batches, cell_facets, distinct_rows, exterior_cell_facets
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import (
     Directory,

@@ -25,9 +25,6 @@ from fenics_tfeti.typing import Vector
 # numbers, so that bounds of the iterations differ by a factor of two.
 EXCHANGE_RATIO = 4.0
 
-# Estimated condition number of a pair's rows, above which the user is told.
-_LARGE_CONDITION = 20.0
-
 
 @dataclass(frozen=True)
 class Roles:
@@ -36,7 +33,7 @@ class Roles:
     given: Contact  # as the user gave it
     used: Contact  # the same object, or the pair with slave and master exchanged
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
-    reason: str | None = None  # for the report, see `describe_roles`
+    reason: str | None = None  # for the report; None where the given roles are good ones
     are_decided: bool = False  # from the stiffness of the bodies
 
 
@@ -60,15 +57,13 @@ def roles_ratios(
             of_nodes = (stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size)
             sums[row, column] = of_nodes
     comm.Allreduce(MPI.IN_PLACE, sums)
-    ratios: list[float | None] = []
-    for pairing, of_surfaces in zip(pairings, sums, strict=True):
-        ratio = None
+    ratios: list[float | None] = [None] * len(pairings)
+    for k, pairing in enumerate(pairings):
         if pairing.is_mortar:
-            entries, size, nodes = of_surfaces.T
+            entries, size, nodes = sums[k].T
             # entries / nodes over h^(d - 1); the dimension that divides both cancels
             slave, master = entries / nodes * (size / nodes) ** (1 - pairing.normal.shape[1])
-            ratio = float(slave / master) if master > 0.0 else 0.0
-        ratios.append(ratio)
+            ratios[k] = float(slave / master) if master > 0.0 else 0.0
     return ratios
 
 
@@ -77,7 +72,7 @@ def may_exchange(contact: ContactPair) -> bool:
     return contact.roles == "auto" and one_sided_data(contact) is None
 
 
-def exchanged(contact: ContactPair) -> ContactPair:
+def swapped(contact: ContactPair) -> ContactPair:
     """Return the pair with slave and master exchanged."""
     return replace(contact, slave=contact.master, master=contact.slave)
 
@@ -93,30 +88,33 @@ def one_sided_data(contact: ContactPair) -> str | None:
     return next((name for name, present in one_sided.items() if present), None)
 
 
-def describe_roles(
-    contact: ContactPair, ratio: float, exchange: bool = False, obstacle: str | None = None
-) -> str | None:
-    """Describe the choice of roles for the report; None where the given roles are good ones.
+_FACT = "E / h of the given slave is {:.2g} times that of the master"
 
-    The contact and the ratio are those of the given roles, `obstacle` is the error with exchanged
-    ones.
-    """
+
+def as_exchanged(contact: ContactPair, ratio: float) -> Roles:
+    """Return exchanged roles, for the ratio of the given ones."""
+    reason = f"slave and master are exchanged: {_FACT.format(ratio)}"
+    return Roles(contact, swapped(contact), 1.0 / ratio, reason, True)
+
+
+def as_given(contact: ContactPair, ratio: float, obstacle: str | None = None) -> Roles:
+    """Return the given roles with their ratio, and the error with exchanged ones, if any."""
     if ratio <= EXCHANGE_RATIO:
-        return None
-    fact = f"E / h of the given slave is {ratio:.2g} times that of the master"
-    if exchange:
-        return f"slave and master are exchanged: {fact}"
-    data, reason = one_sided_data(contact), f"the other way round {obstacle}"
+        return Roles(contact, contact, ratio, None, True)
+    data, why = one_sided_data(contact), f"the other way round {obstacle}"
     if contact.roles == "given":
-        reason = "roles='given'"
+        why = "roles='given'"
     elif data is not None:
-        reason = f"'{data}' belongs to the given slave"
-    return f"slave and master are as given, though {fact}: {reason}"
+        why = f"'{data}' belongs to the given slave"
+    reason = f"slave and master are as given, though {_FACT.format(ratio)}: {why}"
+    return Roles(contact, contact, ratio, reason, True)
 
 
-def warn_of_roles(name: str, ratio: float) -> None:
+def warn_of_roles(name: str, roles: Roles) -> None:
     """Warn if the slave is much the stiffer or finer surface."""
-    if 1.0 + ratio > _LARGE_CONDITION:
+    largest_condition = 20.0
+    ratio = roles.ratio or 0.0
+    if 1.0 + ratio > largest_condition:
         warn_user(
             f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
             f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "

@@ -30,11 +30,7 @@ from fenics_tfeti.fem.contact.conditions.ties import (
     tie_surfaces,
 )
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
-from fenics_tfeti.fem.contact.descriptions.contacts import (
-    Contact,
-    ContactPair,
-    RigidObstacle,
-)
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import (
@@ -49,11 +45,12 @@ from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.search.roles import (
     EXCHANGE_RATIO,
     Roles,
-    describe_roles,
-    exchanged,
+    as_exchanged,
+    as_given,
     may_exchange,
     nodal_stiffness,
     roles_ratios,
+    swapped,
     warn_of_roles,
 )
 from fenics_tfeti.fem.contact.surfaces.initial_gap import user_gaps
@@ -103,12 +100,12 @@ class ContactSearch:
 
     def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
-        touching, ties = dict[int, Roles](), dict[int, Tie]()
-        for number, contact in enumerate(contacts):
-            if isinstance(contact, Tie):
-                ties[number] = contact
-            else:
-                touching[number] = self._roles_of(contact)
+        ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
+        touching = {
+            k: self._roles_of(contact)
+            for k, contact in enumerate(contacts)
+            if not isinstance(contact, Tie)
+        }
         self.rigid.check_supports(prescribed)
         with self._timer.phase("contact search"):
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
@@ -119,16 +116,14 @@ class ContactSearch:
                 [roles.used for roles in touching.values()],
                 known,
                 prescribed,
-                list(touching),
+                [contact_name(roles.used, number) for number, roles in touching.items()],
                 self._displacement,
             )
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
-                FoundContact(number, roles, pairing, pairing).placed(
-                    self.boundary.nodes, self.rigid
-                )
-                for (number, roles), pairing in zip(touching.items(), pairings, strict=True)
+                FoundContact(k, roles, pairing, pairing).placed(self.boundary.nodes, self.rigid)
+                for (k, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)
             mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
@@ -155,7 +150,7 @@ class ContactSearch:
             is_rigid = [self.rigid.on_surface(contact.facet_tags, tag) for tag in tags]
             if is_rigid == [True, False] and may_exchange(contact):
                 reason = "slave and master are exchanged: the given slave is rigid"
-                roles = replace(roles, used=exchanged(contact), reason=reason)
+                roles = replace(roles, used=swapped(contact), reason=reason)
             self._roles[id(contact)] = roles
         return self._roles[id(contact)]
 
@@ -228,50 +223,42 @@ class ContactSearch:
             pair = roles.given
             assert isinstance(pair, ContactPair)
             if roles.used is pair and ratio is not None:
-                roles = replace(roles, ratio=ratio, reason=describe_roles(pair, ratio))
+                roles = as_given(pair, ratio)
                 if may_exchange(pair) and ratio > EXCHANGE_RATIO:
-                    better.append(pair)
+                    better.append((pair, ratio))
             self._roles[id(pair)] = roles
         found = self._with_exchanged(found, contacts, better)
         decided = list(found.contacts)
         for index in new:
-            decided[index] = replace(
-                decided[index], roles=self._roles[id(decided[index].roles.given)]
-            )
+            roles = self._roles[id(decided[index].roles.given)]
+            decided[index] = replace(decided[index], roles=roles)
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 entry = decided[index]
-                if entry.roles.ratio is not None:
-                    warn_of_roles(entry.pairing.name, entry.roles.ratio)
+                warn_of_roles(entry.pairing.name, entry.roles)
                 warn_of_deviation(entry.undeformed.summary)
         return replace(found, contacts=decided)
 
     def _with_exchanged(
-        self, found: ContactSet, contacts: Sequence[Contact | Tie], pairs: Sequence[ContactPair]
+        self,
+        found: ContactSet,
+        contacts: Sequence[Contact | Tie],
+        pairs: Sequence[tuple[ContactPair, float]],
     ) -> ContactSet:
         """Find conditions anew with slave and master of pairs exchanged, where that is possible.
 
         Some surfaces can be masters only, as folded ones, or masters of other pairs: those pairs
-        are found by halves.
+        are found by halves. With each pair there is the ratio of its given roles.
         """
         if not pairs:
             return found
-        given = {id(pair): self._roles[id(pair)] for pair in pairs}
-        for pair in pairs:
-            ratio = given[id(pair)].ratio
-            assert ratio is not None
-            reason = describe_roles(pair, ratio, exchange=True)
-            self._roles[id(pair)] = Roles(pair, exchanged(pair), 1.0 / ratio, reason, True)
+        self._roles |= {id(pair): as_exchanged(pair, ratio) for pair, ratio in pairs}
         try:
             return self.find(contacts, found.prescribed)
         except InputError as error:
             obstacle = str(error)
-        self._roles |= given
+        self._roles |= {id(pair): as_given(pair, ratio, obstacle) for pair, ratio in pairs}
         if len(pairs) == 1:
-            (roles,) = given.values()
-            assert roles.ratio is not None
-            reason = describe_roles(pairs[0], roles.ratio, obstacle=obstacle)
-            self._roles[id(pairs[0])] = replace(roles, reason=reason)
             return found
         half = len(pairs) // 2
         found = self._with_exchanged(found, contacts, pairs[:half])
@@ -283,34 +270,34 @@ def match_contacts(
     contacts: Sequence[Contact],
     known: Sequence[tuple[Contact, ContactPairing]] = (),
     prescribed: Prescribed | None = None,
-    numbers: Sequence[int] | None = None,
+    names: Sequence[str] | None = None,
     displacement: Function | None = None,
 ) -> list[ContactPairing]:
     """Match the surfaces of all contacts, and check that new ones overlap no others. Collective.
 
     Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
-    displacements of this rank's nodes tell planes of symmetry. The numbers are those of contacts
-    without a name. Obstacles are evaluated on surfaces deformed by a displacement, if one is given.
+    displacements of this rank's nodes tell planes of symmetry. By default contacts without a name
+    get one by their place. Obstacles are evaluated on surfaces deformed by a displacement, if one
+    is given.
     """
     comm, earlier = boundary.nodes.comm, {id(contact): pairing for contact, pairing in known}
     has_new = any(id(contact) not in earlier for contact in contacts)
     if has_new:
         check_different_surfaces(contacts, comm)
-    numbers = range(len(contacts)) if numbers is None else numbers
-    named = {
-        k: (contact_name(contact, number), contact)
-        for k, (number, contact) in enumerate(zip(numbers, contacts, strict=True))
+    names = names or [contact_name(contact, k) for k, contact in enumerate(contacts)]
+    pairs = {
+        k: (name, contact)
+        for k, (name, contact) in enumerate(zip(names, contacts, strict=True))
         if isinstance(contact, ContactPair)
     }
     fixed = prescribed_components(boundary.nodes, prescribed or Prescribed())
-    old = {k: earlier[id(p)] for k, (_, p) in named.items() if id(p) in earlier}
+    old = {k: earlier[id(pair)] for k, (_, pair) in pairs.items() if id(pair) in earlier}
     unchanged = _unchanged(boundary, old, fixed)
-    found = {k: _refreshed(named[k], pairing) for k, pairing in unchanged.items()}
-    new = {k: pair for k, pair in named.items() if k not in found}
-    found |= dict(zip(new, match_pairs(boundary, [*new.values()], fixed), strict=True))
-    for k, (number, contact) in enumerate(zip(numbers, contacts, strict=True)):
+    found = {k: _refreshed(pairs.pop(k), pairing) for k, pairing in unchanged.items()}
+    found |= dict(zip(pairs, match_pairs(boundary, [*pairs.values()], fixed), strict=True))
+    for k, (name, contact) in enumerate(zip(names, contacts, strict=True)):
         if isinstance(contact, RigidObstacle):
-            name, last = contact_name(contact, number), earlier.get(id(contact))
+            last = earlier.get(id(contact))
             found[k] = match_obstacle(boundary, name, contact, last, displacement)
     pairings = [found[k] for k in range(len(contacts))]
     if has_new:

@@ -26,20 +26,10 @@ from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# How much larger a component of the normals is at neighbours, if it is that of a curved surface
-# whose symmetry plane the node is in: 2 on a uniform mesh. On a plane, inclined or not, it is 1.
-_GROWTH = 1.3
-
-# Length of the rest of a unit normal, below which the prescribed components are no symmetry.
-_SHORTEST = 0.5
-
 # root mean square of the normals along a second direction, below which a surface is a plane
 _CURVED = 0.1
-# distance of nodes from a cylinder, relative to its size, that is rounding; steps of the fit
-_ROUND, _GAUSS_NEWTON_STEPS = 1e-11, 8
-# relative to the largest distance of the nodes of contact: that of other nodes that are on the
-# cylinder too, and the angle between the axis and a coordinate axis that is meant
-_DISTANCE_FACTOR, _ANGLE_FACTOR = 2.0, 10.0
+# distance of nodes from a cylinder, relative to its size, that is rounding
+_ROUND = 1e-11
 
 
 def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
@@ -65,10 +55,13 @@ def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
     total = surface.sum_of_corners(np.repeat(of_facets, v, axis=1))
     gdim = surface.normal.shape[1]
     neighbour_mean = total[:, :gdim] / np.maximum(total[:, gdim:], 1.0)
-    removed = prescribed & (neighbour_mean > _GROWTH * np.abs(surface.normal))
+    # of a curved surface a component is twice as large at neighbours on a uniform mesh, of a plane,
+    # inclined or not, as large
+    removed = prescribed & (neighbour_mean > 1.3 * np.abs(surface.normal))
     projected = np.where(removed, 0.0, surface.normal)
     length = np.linalg.norm(projected, axis=1)
-    curved = length > _SHORTEST
+    # where less is left, the prescribed components are no symmetry
+    curved = length > 0.5
     normals: Vector = np.where(
         curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
     )
@@ -146,17 +139,18 @@ class Cylinder:
         n = (normals - mean) @ cross_axes
         xn, nn = comm.allreduce(np.array([np.sum((x @ cross_axes) * n), np.sum(n * n)]))
         fit = Cylinder(-xn / nn * mean, axis_estimate, float(abs(xn / nn)))
-        for _ in range(_GAUSS_NEWTON_STEPS):
+        for _ in range(8):
             fit = fit._improved(comm, x, cross_axes)
         misfit = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
         nearest = np.argmax(np.abs(fit.axis))
         coordinate_axis = np.eye(3)[nearest] * np.sign(fit.axis[nearest])
         rotation = float(np.linalg.norm(fit.axis - coordinate_axis))
-        is_coordinate_axis = rotation <= _ANGLE_FACTOR * max(misfit, _ROUND)
+        # angles and distances of other nodes are some times what the misfit of these nodes is
+        is_coordinate_axis = rotation <= 10.0 * max(misfit, _ROUND)
         if misfit > (SAME_PLACE if is_coordinate_axis else _ROUND):
             return None
         axis = coordinate_axis if is_coordinate_axis else fit.axis
-        tolerance = size * (_DISTANCE_FACTOR * max(misfit, _ROUND))
+        tolerance = size * (2.0 * max(misfit, _ROUND))
         return Cylinder(middle + size * fit.centre, axis, size * fit.radius, tolerance)
 
     def distance(self, points: Vector) -> Vector:

@@ -67,8 +67,8 @@ def _reflection(facet: ReferenceCell, nodes: int) -> list[int]:
 
 
 def tangential_part(vectors: Vector, normal: Vector) -> Vector:
-    """Return vectors (k, gdim) less their components along unit normals (k, gdim)."""
-    tangential: Vector = vectors - np.sum(vectors * normal, axis=1)[:, None] * normal
+    """Return vectors (..., gdim) less their components along unit normals (..., gdim)."""
+    tangential: Vector = vectors - np.sum(vectors * normal, axis=-1, keepdims=True) * normal
     return tangential
 
 

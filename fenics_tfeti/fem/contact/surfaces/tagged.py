@@ -19,7 +19,7 @@ from ufl.core.expr import Expr
 from ufl.corealg.traversal import traverse_unique_terminals
 from ufl.domain import extract_domains
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
@@ -144,6 +144,12 @@ class Surface:
         """The places (f, v, gdim) of the facets' corners [m]."""
         return self.boundary.coordinates[self.vertices, : self.normal.shape[1]]
 
+    def counts(self, *of_contacts: Numbers) -> Array:
+        """Return how often each contact is among those of each array (q,). Collective."""
+        counts = [np.bincount(contact, minlength=len(self.extent)) for contact in of_contacts]
+        total: Array = self.comm.allreduce(np.array(counts))
+        return total
+
     def without_rounding(self, lengths: Vector, contact: Numbers) -> Vector:
         """Set lengths (q,) [m] to zero that are no more than the rounding of coordinates."""
         rounding = COORDINATE_ROUNDING * self.extent[contact]
@@ -231,9 +237,7 @@ class Surface:
             moves = boundary.nodes.values(displacement)[local]
         contact = boundary.nodes.contact
         facets = Facets(
-            points + moves,
-            inverse.reshape(rows.shape),
-            None if contact is None else contact[local],
+            points + moves, inverse.reshape(rows.shape), None if contact is None else contact[local]
         )
         return SurfaceFacets(nodes, facets, moves)
 
@@ -386,8 +390,8 @@ def split(contact: Numbers, values: Array | None, count: int) -> list[Any]:
 def extremes(
     comm: MPI.Intracomm, values: Vector, contact: Numbers, contacts: int, initial: float
 ) -> Vector:
-    """Return the largest of the values (k,) of each contact, over all ranks. Collective."""
-    largest = np.full(contacts, initial)
+    """Return the largest of the values (k, ...) of each contact, over all ranks. Collective."""
+    largest = np.full((contacts, *values.shape[1:]), initial)
     np.maximum.at(largest, contact, values)
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
     return largest
@@ -430,10 +434,8 @@ def as_ufl_weight(domain: Mesh, weight: Any) -> Any:
         # a Constant: for each number in the expression, code would be compiled anew
         return Constant(domain, float(weight))
     if not isinstance(weight, Expr):
-        raise InputError(
-            f"measure_weight is a {type(weight).__name__}; a scalar expression of UFL or a number "
-            "is expected, such as 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]"
-        )
+        expected = "a scalar expression of UFL or a number, such as 2 * ufl.pi * x[0],"
+        raise wrong_type("measure_weight", weight, expected)
     if weight.ufl_shape or weight.ufl_free_indices:
         raise InputError(
             f"measure_weight has shape {weight.ufl_shape}; a scalar is expected, by which ds is "
