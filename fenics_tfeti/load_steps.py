@@ -13,10 +13,11 @@ from fenics_tfeti.errors import ContactError, InputError, NotConverged
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.contact_set import ContactSet, SolvedContacts
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
 from fenics_tfeti.fem.contact.solution.results import Results
+from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
@@ -219,7 +220,7 @@ class SteppedProblem(ABC):
         self, solution: TornSolution, conditions: ContactSet, bodies: RigidBodies, **report: Any
     ) -> None:
         """Keep the solution that was found with conditions, and has moved rigid bodies."""
-        self._solved = solved = conditions.solved(solution, self.u, bodies)
+        self._solved = solved = SolvedContacts.of(conditions, solution, self.u, bodies)
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self.report = self._report_type.of(
             solution.report,

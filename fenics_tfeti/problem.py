@@ -376,7 +376,7 @@ class ContactProblem(SteppedProblem):
 
     def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
-        bodies = conditions.bodies_after(solution)
+        bodies = conditions.bodies.moved(conditions.motions_after(solution.displacements))
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
         self._store(solution, conditions, bodies)
         self._step = replace(self._step, displacement=owned_values(uh))

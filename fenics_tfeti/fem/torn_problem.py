@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
-from fenics_tfeti.fem.contact.search.search import ContactSearch
+from fenics_tfeti.fem.contact.search.contact_search import ContactSearch
 from fenics_tfeti.fem.decomposition.assembly import TornMesh, prepare_forms
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.decomposition.partition import (

@@ -64,6 +64,14 @@ def as_direction(values: Any, what: str) -> Vector:
     return vector / length
 
 
+def check_field(
+    field: Any, what: str, as_vector: Callable[[Any, str], Vector] = as_coordinates
+) -> None:
+    """Check a vector, unless it is a function or left out."""
+    if not (field is None or callable(field)):
+        as_vector(field, what)
+
+
 def evaluate(function: Callable[[Vector], Any], points: Vector, what: str) -> Any:
     """Call a user's function of points (3, k); what it raises becomes an `InputError`."""
     try:

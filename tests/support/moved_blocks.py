@@ -18,7 +18,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contact
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.search.search import match_contacts
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

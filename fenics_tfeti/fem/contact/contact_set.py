@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -19,12 +19,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
     friction_rows,
     nodal_friction,
 )
-from fenics_tfeti.fem.contact.conditions.pairing import (
-    ContactPairing,
-    SlaveValues,
-    contact_rows,
-    row_values,
-)
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, contact_rows
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
@@ -32,21 +27,10 @@ from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.search.roles import Roles
-from fenics_tfeti.fem.contact.solution.results import (
-    BoltResult,
-    ContactEntry,
-    ContactResult,
-    Results,
-    RigidBodyResult,
-    TiedResult,
-)
-from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -137,16 +121,20 @@ class ContactSet:
         return [found.pairing for found in self.contacts]
 
     @property
+    def entries(self) -> list[FoundContact | FoundTie]:
+        """All contacts and tied pairs, by number."""
+        return sorted([*self.contacts, *self.ties], key=lambda found: found.number)
+
+    @property
     def names(self) -> list[str]:
         """Names of all contacts and tied pairs, by number."""
-        entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
-        return [found.pairing.name for found in sorted(entries, key=lambda found: found.number)]
+        return [found.pairing.name for found in self.entries]
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other. Collective."""
         numbers = [found.number for found in self.contacts]
         rows = contact_rows(self.pairings, self.boundary.nodes.components, numbers)
-        for found, positions in zip(self.contacts, self._positions, strict=True):
+        for found, positions in zip(self.contacts, self.positions, strict=True):
             if found.on_body is not None:
                 frame, places = self.bodies.frame_of(found.body), found.on_body.places
                 of_body = -(rows.length[:, None] * rows.normal)[positions]
@@ -155,9 +143,9 @@ class ContactSet:
         return self.rigid.joined(rows, self.bodies)
 
     @property
-    def _positions(self) -> list[Numbers]:
+    def positions(self) -> list[Numbers]:
         """The positions (k,) of each contact's conditions among all of them."""
-        return _positions([found.pairing.gap.size for found in self.contacts])
+        return consecutive([found.pairing.gap.size for found in self.contacts])
 
     def tied_rows(self) -> ContactRows:
         """Return the rows of all ties, one tie after the other. Collective."""
@@ -172,7 +160,7 @@ class ContactSet:
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
         nodes, sites = self.boundary.nodes, []
-        for k, (found, positions) in enumerate(zip(self.contacts, self._positions, strict=True)):
+        for k, (found, positions) in enumerate(zip(self.contacts, self.positions, strict=True)):
             if found.friction is not None:
                 moved = self._obstacle_motion(found, found.friction, origin, k)
                 sites.append((positions, found.friction, moved))
@@ -256,7 +244,7 @@ class ContactSet:
         comm = self.boundary.nodes.comm
         return slice(comm.rank, None, comm.size)
 
-    def _shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
+    def shortenings(self, displacements: Sequence[Vector]) -> dict[int, float]:
         """Return shortenings by number of the bolt, of displacements of subdomains. Collective."""
         preloads = self._preloads
         values, own = np.zeros(len(preloads)), preloads[self._own_preloads]
@@ -316,158 +304,13 @@ class ContactSet:
         bodies = self.bodies.placed_as(other.bodies)
         return replace(self, contacts=contacts, bodies=bodies).with_friction()
 
-    def bodies_after(self, solution: TornSolution) -> RigidBodies:
-        """Return the rigid bodies where a solution moves them. Collective."""
-        return self.bodies.moved(self.motions_after(solution.displacements))
-
-    def solved(self, solution: TornSolution, uh: Function, bodies: RigidBodies) -> SolvedContacts:
-        """Return the solution, which has moved the bodies, at contacts and ties. Collective."""
-        conditions = contact_rows(self.pairings, self.boundary.nodes.components)
-        moved = row_values(self.boundary.nodes, conditions, owned_values(uh))
-        opening = (conditions.gap - moved) / conditions.length
-        shortenings = self._shortenings(solution.displacements)
-        contacts = []
-        sites_of = _positions(
-            [(f.friction is not None) * f.pairing.gap.size for f in self.contacts]
-        )
-        for found, rows, sites in zip(self.contacts, self._positions, sites_of, strict=True):
-            if found.on_body is not None:
-                frame = bodies.frame_of(found.body)
-                moved = frame.displacements(frame.motion, found.on_body.places)
-                opening[rows] += np.sum(found.pairing.normal * moved, axis=1)
-            contacts.append(self._result(found, opening[rows], solution, rows, sites))
-        ties = [
-            self._tied_result(tie, solution, rows, shortenings)
-            for tie, rows in zip(
-                self.ties, _positions([tie.pairing.rows.size for tie in self.ties]), strict=True
-            )
-        ]
-        results = [self._body_result(frame, solution) for frame in bodies.frames]
-        return SolvedContacts(self, contacts, ties, uh, bodies, results)
-
-    def _body_result(self, frame: BodyFrame, solution: TornSolution) -> RigidBodyResult:
-        force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
-        entries: list[FoundContact | FoundTie] = [*self.contacts, *self.ties]
-        for found in entries:
-            is_obstacle = isinstance(found, FoundContact) and found.body is frame.body
-            if is_obstacle or found.rigid_master is frame.body:
-                entry = solution.report.contacts[found.number]
-                force += entry.force_on_master
-                moment += entry.moment_on_master
-        return RigidBodyResult.of(frame, force, moment)
-
-    def _result(
-        self,
-        found: FoundContact,
-        opening: Vector,
-        solution: TornSolution,
-        rows: Numbers,
-        sites: Numbers,
-    ) -> ContactResult:
-        pairing, friction = found.pairing, found.friction
-        force = solution.normal_force[rows]
-        entry = ContactEntry(
-            **vars(solution.report.contacts[found.number]),
-            pairing=found.undeformed.summary,
-            roles_ratio=found.roles.ratio,
-            roles=found.roles.reason,
-        )
-        return ContactResult(
-            pairing.name,
-            entry,
-            pairing.slave,
-            self.dofs(pairing.slave),
-            pairing.coordinates,
-            found.gap,
-            opening,
-            pairing.normal,
-            normal_force=force,
-            pressure=force / pairing.area,
-            active=force > 0.0,
-            area=pairing.area,
-            coverage=pairing.coverage,
-            friction=None if friction is None else friction.result(solution, sites, pairing.area),
-            comm=self.boundary.nodes.comm,
-        )
-
-    def _tied_result(
-        self,
-        found: FoundTie,
-        solution: TornSolution,
-        rows: Numbers,
-        shortenings: Mapping[int, float],
-    ) -> TiedResult:
-        tie, force = found.pairing, found.pairing.forces(solution.tied_force[rows])
-        entry = ContactEntry(**vars(solution.report.contacts[found.number]), pairing=tie.summary)
-        if tie.preload is not None:
-            shortening = shortenings.get(found.number, tie.preload.shortening)
-            tension = float(np.array(entry.force) @ tie.preload.direction)
-            entry = replace(entry, tension=tension, shortening=shortening)
-        return (TiedResult if tie.preload is None else BoltResult)(
-            tie.name,
-            entry,
-            tie.nodes,
-            self.dofs(tie.nodes),
-            tie.coordinates,
-            force,
-            force / tie.area[:, None],
-            tie.area,
-            self.boundary.nodes.comm,
-        )
-
     def dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
         dofs: Numbers = nodes - self.boundary.nodes.first
         return dofs
 
 
-@dataclass(frozen=True)
-class SolvedContacts:
-    """A solution at contacts and tied pairs, with the conditions that it fulfils."""
-
-    conditions: ContactSet
-    contacts: list[ContactResult]  # in the roles that are used
-    ties: list[TiedResult]
-    displacement: Function
-    bodies: RigidBodies
-    body_results: list[RigidBodyResult]
-
-    def as_given(self) -> Results:
-        """Return the results by number, in the roles that the user gave."""
-        numbered: dict[int, ContactResult | TiedResult] = {}
-        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
-            is_exchanged = found.roles.used is not found.roles.given
-            numbered[found.number] = result.seen_from_master() if is_exchanged else result
-        for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
-            numbered[tie.number] = tied_result
-        return Results([numbered[number] for number in sorted(numbered)])
-
-    def obstacle_displacements(self) -> SlaveValues:
-        """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
-        conditions, parts = self.conditions, []
-        gdim = conditions.boundary.nodes.components
-        for found in conditions.contacts:
-            on, moved = found.on_body, np.zeros((0, gdim))
-            if found.friction is not None:
-                moved = found.friction.obstacle_displacement
-                if on is not None:
-                    before = conditions.bodies.frame_of(found.body)
-                    motion = self.bodies.frame_of(found.body).motion - before.motion
-                    step = before.displacements(motion, on.places)
-                    moved = on.slave - before.undeformed_places(on.slave) + step
-            parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
-        return SlaveValues.of(parts, gdim)
-
-    def nodal_forces(self) -> SlaveValues:
-        """Return the normal forces (k,) [N]."""
-        return SlaveValues.of((result.dofs, result.normal_force) for result in self.contacts)
-
-    def gathered(self) -> list[SolvedContact]:
-        """Gather the solution on the slaves' surfaces on every rank. Collective."""
-        return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
-
-
-def _positions(sizes: Sequence[int]) -> list[Numbers]:
+def consecutive(sizes: Sequence[int]) -> list[Numbers]:
     """Return the positions (k,) of consecutive parts of some sizes."""
     return np.split(np.arange(sum(sizes)), np.cumsum(sizes)[:-1]) if sizes else []
 

@@ -15,7 +15,7 @@ from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, Plane
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
-from fenics_tfeti.fem.contact.search.search import match_contacts
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary

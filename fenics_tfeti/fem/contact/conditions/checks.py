@@ -107,7 +107,12 @@ def check_different_nodes(
     edge_angle = 45.0
     of_master: dict[tuple[int, int], list[ContactPairing]] = {}
     for contact, pairing in zip(contacts, pairings, strict=True):
-        of_master.setdefault(_master_key(contact), []).append(pairing)
+        key = (
+            (id(_compat.cpp_object(contact.facet_tags)), contact.master)
+            if isinstance(contact, ContactPair)
+            else (id(contact.obstacle), 0)
+        )
+        of_master.setdefault(key, []).append(pairing)
     for several in of_master.values():
         for a, b in combinations(several, 2):
             _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
@@ -119,10 +124,3 @@ def check_different_nodes(
                     f"master surface or obstacle, the first at {bad.place}: join the two slave "
                     "surfaces under one tag, or separate them"
                 )
-
-
-def _master_key(contact: Contact) -> tuple[int, int]:
-    """Return what tells the master's surface or the obstacle apart from others."""
-    if isinstance(contact, ContactPair):
-        return id(_compat.cpp_object(contact.facet_tags)), contact.master
-    return id(contact.obstacle), 0

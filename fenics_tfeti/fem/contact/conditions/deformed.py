@@ -17,12 +17,10 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
+from fenics_tfeti.fem.contact.conditions.surface_pairs import match_by_mortar
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
@@ -108,13 +106,10 @@ def _deformed_mortar(
             rows = np.searchsorted(slave.nodes, surface.nodes)
             deformed = replace(surface, normal=slave.normal[rows])
         master.check_not_folded(name)
-    if contact.normal is None:
-        normal = normals_in_symmetry_planes(deformed, prescribed)
-        deformed = replace(deformed, normal=normal)
-    facets = deformed.oriented_part(displacement)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = mortar_conditions(surface, facets, master, shared, prescribed, pairing.slave)
-    check_covered(conditions, surface, [name])
+    conditions = match_by_mortar(
+        [name], contact, deformed, master, shared, prescribed, pairing.slave, displacement
+    )
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(
         pairing,

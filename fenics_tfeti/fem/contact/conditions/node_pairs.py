@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -12,9 +11,8 @@ from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.checks import check_separate
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
-from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.conditions.pairing import Conditions, JoinedPairs, Terms
+from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.partners import (
     Along,
     Mapped,
@@ -25,7 +23,7 @@ from fenics_tfeti.fem.contact.descriptions.partners import (
 from fenics_tfeti.fem.contact.mortar.facets import apart
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights, initial_gaps
+from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
@@ -74,90 +72,62 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
     return match
 
 
-def match_nodes(
-    names: Sequence[str],
-    contacts: Sequence[ContactPair],
-    how: NodePartners,
-    slave: Surface,
-    tagged_master: Surface,
-) -> ContactPairing:
+def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
     """Return the conditions between pairs of nodes, this rank's part. Collective.
 
     Several contacts have the nearest nodes as partners.
     """
-    comm, master = slave.comm, tagged_master.gathered_nodes()
-    partial = np.array([pair.partial for pair in contacts])
-    shared = shared_nodes(names, slave, master.nodes, tagged_master, partial)
+    names, slave, master = pairs.names, pairs.slave, pairs.master.gathered_nodes()
+    shared = shared_nodes(pairs, master.nodes)
     master = master.without(shared)
 
     partners = find_partners(how, slave, master, names[0])
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
     limit = how.tolerance * slave.size
-    _check_partners(slave, partners, limit, partial, names)
+    _check_partners(pairs, partners, limit)
     paired = partners.distance <= limit
-    partner_rows, contact = partners.master[paired], slave.contact[paired]
-    _check_one_to_one(slave, master, partner_rows, partial, names)
+    partner, contact, normal = partners.master[paired], slave.contact[paired], slave.normal[paired]
+    _check_one_to_one(pairs, master, partner)
 
-    angle = angles_between(slave.normal[paired], -master.normal[partner_rows])
+    angle = angles_between(normal, -master.normal[partner])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    if bad := first_wrong(comm, angle > 120.0, slave.points[paired], contact):
+    if bad := first_wrong(slave.comm, angle > 120.0, slave.points[paired], contact):
         raise InputError(
             f"{names[bad.contact]}: slave and master look the same way at {bad.number} nodes, the "
             f"first at {bad.place}: the outward normals of surfaces that touch point against each "
             "other. Is one of the tags on the far side of its body?"
         )
-    partner = master.points[partner_rows]
     images = np.full_like(slave.points, np.nan)
-    images[paired] = partner
-    images = slave.at_corners(images)
-    _check_not_crossed(slave, images, names)
-    covered = np.isfinite(images).all(axis=(1, 2))
-    area = slave.areas(covered, names)[paired]
-    normal = slave.normal[paired]
-    gap = np.sum((partner - slave.points[paired]) * normal, axis=1)
-    gap = slave.without_rounding(gap, contact)
-    places = slave.coordinates[paired]
+    images[paired] = master.points[partner]
+    at_corners = slave.at_corners(images)
+    _check_not_crossed(pairs, at_corners)
+    covered = np.isfinite(at_corners).all(axis=(1, 2))
     chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
-    # the nodes of both surfaces are on it, up to their chords
-    chord = 2.0 * slave.max_of_facets(chords)[paired]
-    gap = initial_gaps(comm, contacts, contact, gap, chord, places, names)
-    summaries = pairing_summaries(
-        comm,
-        names,
-        "node_to_node",
-        contact,
-        gap,
-        angle,
-        slave.contact,
-        slave.without_rounding(partners.distance[paired], contact),
-        slave.size[paired],
-        area,
-        np.bincount(contact, slave.area[paired], len(names)).astype(np.float64, copy=False),
-    )
-    return ContactPairing(
-        Terms.of_nodes(slave.nodes[paired], master.nodes[partner_rows]),
+    return Conditions(
+        Terms.of_nodes(slave.nodes[paired], master.nodes[partner]),
         normal,
-        gap,
-        area,
-        summaries,
-        slave,
-        covered,
+        (images - slave.points)[paired],
+        slave.areas(covered, names)[paired],
         (slave.share_of_area(covered) / slave.area)[paired],
-        master_surface=tagged_master,
+        # the nodes of both surfaces are on the curved one, up to their chords
+        2.0 * slave.max_of_facets(chords)[paired],
+        angle,
+        covered,
+        np.bincount(contact, slave.area[paired], len(names)),
+        distance=slave.without_rounding(partners.distance[paired], contact),
     )
 
 
-def shared_nodes(
-    names: Sequence[str], slave: Surface, master: Numbers, tagged_master: Surface, partial: Mask
-) -> Numbers:
+def shared_nodes(pairs: JoinedPairs, master: Numbers) -> Numbers:
     """Return nodes of all ranks on both surfaces, of whose master there are those near. Collective.
 
     There must be none but in contacts that are partial and whose master has other nodes.
     """
+    slave = pairs.slave
     is_shared = np.isin(slave.nodes, master)
-    shared, total = slave.counts(slave.contact[is_shared], tagged_master.contact)
-    may_share = partial & (shared < total)
-    check_separate(slave, is_shared & ~may_share[slave.contact], names, _SEPARATE)
+    shared, total = slave.counts(slave.contact[is_shared], pairs.master.contact)
+    may_share = pairs.partial & (shared < total)
+    check_separate(slave, is_shared & ~may_share[slave.contact], pairs.names, _SEPARATE)
     if not shared.any():
         return np.zeros(0, dtype=np.int64)
     return concatenate_ranks(slave.comm, slave.nodes[is_shared])
@@ -326,10 +296,9 @@ def _chosen(mask: Mask, *columns: Array) -> list[Array]:
     return [column[mask] for column in columns]
 
 
-def _check_partners(
-    slave: Surface, partners: Partners, limit: Vector, partial: Mask, names: Sequence[str]
-) -> None:
+def _check_partners(pairs: JoinedPairs, partners: Partners, limit: Vector) -> None:
     """Check that all slave nodes have a partner, or in a partial contact at least one."""
+    slave, partial = pairs.slave, pairs.partial
     comm, far = slave.comm, partners.distance > limit
     missing, total = slave.counts(slave.contact[far], slave.contact)
     wrong = np.flatnonzero((missing > 0) & ~(partial & (missing < total)))
@@ -349,33 +318,32 @@ def _check_partners(
     )
     free = "" if partial[k] else ", or leave these nodes free by partial=True"
     raise InputError(
-        f"{names[k]}: {missing[k]} of {total[k]} slave nodes have no partner: {places}. {measure}"
-        f"{partners.remedy}{free}"
+        f"{pairs.names[k]}: {missing[k]} of {total[k]} slave nodes have no partner: {places}. "
+        f"{measure}{partners.remedy}{free}"
     )
 
 
-def _check_one_to_one(
-    slave: Surface, master: SurfaceNodes, partner: Numbers, partial: Mask, names: Sequence[str]
-) -> None:
+def _check_one_to_one(pairs: JoinedPairs, master: SurfaceNodes, partner: Numbers) -> None:
     """Check that no two slave nodes have the same partner, which are nodes of the master."""
-    number = np.bincount(concatenate_ranks(slave.comm, partner), minlength=len(master.points))
+    of_all = concatenate_ranks(pairs.slave.comm, partner)
+    number = np.bincount(of_all, minlength=len(master.points))
     if bad := first_wrong(MPI.COMM_SELF, number > 1, master.points, master.contact):
         lower = "Lower the tolerance, so that some of them stay free; or exchange"
         raise InputError(
-            f"{names[bad.contact]}: {bad.number} master nodes are each the partner of several "
-            f"slave nodes, the first at {bad.place}; the mapping has to be one to one. "
-            f"{lower if partial[bad.contact] else 'Exchange'} slave and master, or mesh the "
+            f"{pairs.names[bad.contact]}: {bad.number} master nodes are each the partner of "
+            f"several slave nodes, the first at {bad.place}; the mapping has to be one to one. "
+            f"{lower if pairs.partial[bad.contact] else 'Exchange'} slave and master, or mesh the "
             "surfaces alike"
         )
 
 
-def _check_not_crossed(slave: Surface, images: Vector, names: Sequence[str]) -> None:
+def _check_not_crossed(pairs: JoinedPairs, images: Vector) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
     The images (f, v, gdim) are the coordinates of the partners of the corners of this rank's
     facets, NaN where there is none.
     """
-    v = images.shape[1]
+    slave, v = pairs.slave, images.shape[1]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, normals, partners = (
         at_corners[:, edges]
@@ -392,7 +360,7 @@ def _check_not_crossed(slave: Surface, images: Vector, names: Sequence[str]) -> 
     middles = slave.corners.mean(axis=1)
     if bad := first_wrong(slave.comm, crossed, middles, slave.facet_contact):
         raise InputError(
-            f"{names[bad.contact]}: pairs cross on {bad.number} facets of the slave, the first "
-            f"around {bad.place}: neighbours there have partners that lie in the opposite order. "
-            "Correct the points, mapping or direction, or lower the tolerance"
+            f"{pairs.names[bad.contact]}: pairs cross on {bad.number} facets of the slave, the "
+            f"first around {bad.place}: neighbours there have partners that lie in the opposite "
+            "order. Correct the points, mapping or direction, or lower the tolerance"
         )

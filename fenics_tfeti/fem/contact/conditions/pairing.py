@@ -8,12 +8,12 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, SparseRows
-from fenics_tfeti.typing import Array, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,42 @@ class Terms(SparseRows):
 
 
 @dataclass(frozen=True)
+class JoinedPairs:
+    """The surfaces of several pairs as one slave and one master, whose nodes are `ContactNodes`."""
+
+    names: Sequence[str]
+    contacts: Sequence[ContactPair]
+    slave: Surface
+    master: Surface
+
+    @property
+    def partial(self) -> Mask:
+        """Whether nodes may be on both surfaces or have no partner, of each pair."""
+        return np.array([contact.partial for contact in self.contacts])
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """Conditions between two surfaces at the k slave nodes that this rank owns."""
+
+    terms: Terms  # by ascending slave node
+    # (k, gdim): unit normals; of mortar conditions the means with the dual functions
+    normal: Vector
+    gap: Vector  # (k, gdim): from the slave to the master, of mortar conditions the means [m]
+    area: Vector  # (k,): see `ContactPairing`
+    coverage: Vector  # (k,): covered share of the area that belongs to the node
+    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
+    chord: Vector
+    angle: Vector  # (k,): largest angle between normals and those opposite [degrees]
+    covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
+    # covered area of this rank's slave facets of each contact, without weight [m^2 or m]
+    covered_area: Array
+    # (k,): of mortar conditions the chord less the curvature of the facets [m]
+    deviation: Vector | None = None
+    distance: Vector | None = None  # (k,): of nodes what the tolerance limits [m]
+
+
+@dataclass(frozen=True)
 class ContactPairing:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
@@ -107,10 +143,10 @@ class ContactPairing:
     area: Vector  # (k,) [m^2 or m]
     summaries: list[dict[str, Any]]  # of each contact the entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
-    covered: NDArray[np.bool_]  # (f,): whether the surface's facets have partners at all nodes
+    covered: Mask  # (f,): whether the surface's facets have partners at all nodes
     coverage: Vector  # (k,), see `ContactResult`
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
-    prescribed: NDArray[np.bool_] | None = None
+    prescribed: Mask | None = None
     master_surface: Surface | None = None  # None for obstacles
 
     @property

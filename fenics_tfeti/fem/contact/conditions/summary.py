@@ -32,7 +32,7 @@ def pairing_summaries(
     distance: Vector | None = None,
     size: Vector | float = 1.0,
     area: Vector | None = None,
-    covered_area: Vector | None = None,
+    covered_area: Array | None = None,
     deviation: Vector | None = None,
 ) -> list[dict[str, Any]]:
     """Summarise the pairing of each contact; the same on all ranks. Collective.

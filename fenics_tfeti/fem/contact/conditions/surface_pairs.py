@@ -12,13 +12,15 @@ from typing import TypeAlias
 
 import numpy as np
 
+from dolfinx.fem import Function
+
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.pairing import Conditions, ContactPairing, JoinedPairs
 from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
-from fenics_tfeti.fem.contact.mortar.conditions import MortarConditions, mortar_conditions
+from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gaps
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -34,7 +36,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.fem.user_data import VectorField
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers
 
@@ -78,22 +79,18 @@ def match_pairs(
 
 def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, ContactPairing]:
     """Match pairs that are alike in the user's partners and normals, by number. Collective."""
-    pairs, *sides = zip(*parts.values(), strict=True)
-    names, contacts = zip(*pairs, strict=True)
-    slave, tagged_master = _joined(boundary, names, sides, contacts[0].normal)
-    how, near = contacts[0].partners, Nearest()
-    if isinstance(how, NodePartners):
-        found = match_nodes(names, contacts, how, slave, tagged_master)
-    else:
-        master = gather_nearby(tagged_master, slave)
-        partial = np.array([contact.partial for contact in contacts])
-        shared = shared_nodes(names, slave, master.nodes, tagged_master, partial)
+    pairs = _joined(boundary, parts)
+    contacts, slave, prescribed = pairs.contacts, pairs.slave, None
+    how = contacts[0].partners
+    if not isinstance(how, NodePartners):
+        master = gather_nearby(pairs.master, slave)
+        shared = shared_nodes(pairs, master.nodes)
         with raise_collectively(slave.comm):
-            master.check_not_folded(*names)
+            master.check_not_folded(*pairs.names)
         match = np.array([contact.partners is None for contact in contacts])
         match &= boundary.degree == 1
         if match.any():
-            match &= meshes_match(slave, master, near.tolerance)
+            match &= meshes_match(slave, master, Nearest().tolerance)
         if match.any() and not match.all():
             kinds = [
                 {k: part for (k, part), chosen in zip(parts.items(), mask, strict=True) if chosen}
@@ -101,24 +98,24 @@ def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, Con
             ]
             first, second = (_matched(boundary, kind, fixed) for kind in kinds)
             return first | second
-        if match.all():
-            found = match_nodes(names, contacts, near, slave, tagged_master)
-        else:
-            fixed = slave.boundary.nodes.copied(fixed)[slave.local]
-            found = _match_by_mortar(names, contacts, slave, tagged_master, master, shared, fixed)
+        how = Nearest() if match.all() else None
+    if how is not None:
+        found = match_nodes(pairs, how)
+    else:
+        prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
+        none = np.zeros(0, dtype=np.int64)
+        found = match_by_mortar(pairs.names, contacts[0], slave, master, shared, prescribed, none)
+    pairing = _pairing(pairs, found, prescribed)
     if contacts[0].normal is None:
         normal = without_axial_tilt(slave, found.terms.slave, found.normal)
-        found = replace(found, normal=normal)
-    return dict(zip(parts, found.separated(boundary), strict=True))
+        pairing = replace(pairing, normal=normal)
+    return dict(zip(parts, pairing.separated(boundary), strict=True))
 
 
-def _joined(
-    boundary: MeshBoundary,
-    names: Sequence[str],
-    sides: Sequence[Sequence[Indices]],
-    normal: VectorField | None,
-) -> list[Surface]:
-    """Return the slave and the master of the facets of all pairs, slaves first. Collective."""
+def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
+    """Return the pairs with the slave and the master of the facets of all of them. Collective."""
+    pairs, *sides = zip(*parts.values(), strict=True)
+    names, contacts = zip(*pairs, strict=True)
     every = [*sides[0], *sides[1]]
     sizes = [part.size for part in every]
     facets = oriented_facets(boundary.space, np.concatenate(every))
@@ -126,80 +123,87 @@ def _joined(
         boundary.nodes, facets, np.repeat(np.arange(len(every)) % len(names), sizes)
     )
     joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
-    return [
-        surface_of(joined, part, [f"{role} of {name}" for name in names], user_normal)
-        for role, part, user_normal in zip(
+    slave, master = (
+        surface_of(joined, part, [f"{role} of {name}" for name in names], normal)
+        for role, part, normal in zip(
             ("slave", "master"),
             np.split(nodes.facet_nodes, [sum(sizes[: len(names)])]),
-            (normal, None),
+            (contacts[0].normal, None),
             strict=True,
         )
-    ]
+    )
+    return JoinedPairs(names, contacts, slave, master)
 
 
-def _match_by_mortar(
+def match_by_mortar(
     names: Sequence[str],
-    contacts: Sequence[ContactPair],
+    contact: ContactPair,
     slave: Surface,
-    tagged_master: Surface,
     master: SurfaceFacets,
     shared: Numbers,
     prescribed: Mask,
-) -> ContactPairing:
-    """Return the mortar conditions of pairs, this rank's part. Collective.
+    before: Numbers,
+    displacement: Function | None = None,
+) -> Conditions:
+    """Return the mortar conditions of pairs, of which this is the first. Collective.
 
-    The master is what is near this rank's slave facets, not deformed. Nodes of both surfaces,
-    `shared`, stay free; `prescribed` (s, gdim) are the components prescribed at the slave's nodes.
+    The surfaces are deformed, and of the master there is what is near this rank's slave facets. For
+    the other arguments see `mortar_conditions`.
     """
-    normal = slave.normal
-    if contacts[0].normal is None:
-        normal = normals_in_symmetry_planes(slave, prescribed)
-    facets = replace(slave, normal=normal).oriented_part()
-    check_folds(slave.boundary.nodes, facets, names)
-    none = np.zeros(0, dtype=np.int64)
-    conditions = mortar_conditions(slave, facets, master, shared, prescribed, none)
-    check_covered(conditions, slave, names)
-    rows = np.searchsorted(slave.nodes, conditions.terms.slave)
-    contact = slave.contact[rows]
+    if contact.normal is None:
+        slave = replace(slave, normal=normals_in_symmetry_planes(slave, prescribed))
+    facets = slave.oriented_part(displacement)
+    if displacement is None:
+        check_folds(slave.boundary.nodes, facets, names)
+    found = mortar_conditions(slave, facets, master, shared, prescribed, before)
+    check_covered(found, slave, names)
     if facets.weight is not None:
-        slave.check_weight(conditions.area, rows, names)
-    gap = np.sum(conditions.gap * conditions.normal, axis=1)
-    gap = slave.without_rounding(gap, contact)
-    gap = initial_gaps(
-        slave.comm, contacts, contact, gap, conditions.chord, slave.coordinates[rows], names
-    )
-    deviation = slave.without_rounding(conditions.deviation, contact)
+        slave.check_weight(found.area, np.searchsorted(slave.nodes, found.terms.slave), names)
+    return found
+
+
+def _pairing(pairs: JoinedPairs, found: Conditions, prescribed: Mask | None) -> ContactPairing:
+    """Return conditions with their initial gaps, and in numbers for the report. Collective."""
+    names, slave, comm = pairs.names, pairs.slave, pairs.slave.comm
+    rows = np.searchsorted(slave.nodes, found.terms.slave)
+    contact, places = slave.contact[rows], slave.coordinates[rows]
+    gap = slave.without_rounding(np.sum(found.gap * found.normal, axis=1), contact)
+    gap = initial_gaps(comm, pairs.contacts, contact, gap, found.chord, places, names)
+    deviation = found.deviation
     summaries = pairing_summaries(
-        slave.comm,
+        comm,
         names,
-        "mortar",
+        "node_to_node" if prescribed is None else "mortar",
         contact,
         gap,
-        conditions.angle,
+        found.angle,
         slave.contact,
-        area=conditions.area,
-        covered_area=conditions.covered_area,
-        deviation=deviation,
+        found.distance,
+        slave.size[rows],
+        found.area,
+        found.covered_area,
+        None if deviation is None else slave.without_rounding(deviation, contact),
     )
-    for pair, summary in zip(contacts, summaries, strict=True):
+    for pair, summary in zip(pairs.contacts, summaries, strict=True):
         if pair.initial_gap != "geometric":
             summary.update(deviation=None, blurred=None)
-        summary.update(slave=pair.slave, master=pair.master)
+        if prescribed is not None:
+            summary.update(slave=pair.slave, master=pair.master)
     return ContactPairing(
-        conditions.terms,
-        conditions.normal,
+        found.terms,
+        found.normal,
         gap,
-        conditions.area,
+        found.area,
         summaries,
         slave,
-        conditions.covered,
-        conditions.coverage,
+        found.covered,
+        found.coverage,
         prescribed,
-        tagged_master,
+        pairs.master,
     )
 
 
-def check_covered(conditions: MortarConditions, slave: Surface, names: Sequence[str]) -> None:
+def check_covered(conditions: Conditions, slave: Surface, names: Sequence[str]) -> None:
     """Check that the masters cover a part of each slave, and more than slivers. Collective."""
     on_surface = np.searchsorted(slave.nodes, conditions.terms.slave)
     facets, rows = slave.counts(slave.facet_contact[conditions.covered], slave.contact[on_surface])

@@ -14,8 +14,8 @@ from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, check_ta
 from fenics_tfeti.fem.user_data import (
     ScalarField,
     VectorField,
-    as_coordinates,
     as_direction,
+    check_field,
     check_positive,
     is_integer,
     is_number,
@@ -69,6 +69,10 @@ class ContactPair(SurfacePair):
     """
 
     default_name = "contact {} (pair)"
+    remedy = (
+        "Where it is one surface between two bodies that share its nodes, "
+        "fenics_tfeti.io.split_interfaces makes two of it"
+    )
     friction: FrictionLaw | None = None
     initial_gap: InitialGap = "geometric"
     normal: VectorField | None = None
@@ -78,10 +82,8 @@ class ContactPair(SurfacePair):
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = self._checked(
-            "Where it is one surface between two bodies that share its nodes, "
-            "fenics_tfeti.io.split_interfaces makes two of it"
-        )
+        super().__post_init__()
+        label = checked_label(self)
         check_friction(self.friction, label)
         gap = self.initial_gap
         is_word = isinstance(gap, str) and gap in ("geometric", "touching")
@@ -91,8 +93,7 @@ class ContactPair(SurfacePair):
             gap,
             "'geometric', 'touching', a number [m] or a function x (3, n) -> (n,)",
         )
-        if self.normal is not None and not callable(self.normal):
-            as_direction(self.normal, f"{label}: the normal")
+        check_field(self.normal, f"{label}: the normal", as_direction)
         partial, roles, partners = self.partial, self.roles, self.partners
         check_value(isinstance(partial, bool), f"{label}: partial", partial, "True or False")
         check_value(roles in ("auto", "given"), f"{label}: roles", roles, "'auto' or 'given'")
@@ -173,8 +174,7 @@ class RigidObstacle:
                 "out, or give it friction. Gaps to a moving obstacle are those that its function "
                 "returns"
             )
-        if self.displacement is not None and not callable(self.displacement):
-            as_coordinates(self.displacement, f"{label}: the obstacle's displacement")
+        check_field(self.displacement, f"{label}: the obstacle's displacement")
 
 
 Contact: TypeAlias = ContactPair | RigidObstacle

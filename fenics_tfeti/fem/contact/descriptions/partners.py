@@ -9,7 +9,12 @@ from typing import TypeAlias
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError, check_value
-from fenics_tfeti.fem.user_data import VectorField, as_direction, as_points, check_positive
+from fenics_tfeti.fem.user_data import (
+    VectorField,
+    as_direction,
+    as_points,
+    check_positive,
+)
 from fenics_tfeti.typing import Vector
 
 

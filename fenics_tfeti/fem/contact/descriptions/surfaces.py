@@ -13,24 +13,23 @@ from fenics_tfeti.fem.user_data import is_integer
 class SurfacePair:
     """Two tagged surfaces."""
 
+    # where both are one
+    remedy = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
     facet_tags: Any
     slave: int
     master: int
     _: KW_ONLY
     name: str = ""
 
-    def _checked(
-        self, remedy: str = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
-    ) -> str:
-        """Check the surfaces, and return how messages call the pair."""
+    def __post_init__(self) -> None:
+        """Check the data."""
         label = checked_label(self)
         check_tags(self, label, "slave", "master")
         if self.slave == self.master:
             raise InputError(
                 f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
-                f"of its own. {remedy}"
+                f"of its own. {self.remedy}"
             )
-        return label
 
 
 def contact_name(contact: Any, number: int) -> str:

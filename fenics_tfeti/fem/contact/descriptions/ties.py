@@ -16,6 +16,7 @@ from fenics_tfeti.fem.user_data import (
     as_array,
     as_coordinates,
     as_direction,
+    check_field,
     is_number,
 )
 from fenics_tfeti.typing import Numbers, Vector
@@ -45,10 +46,7 @@ class TiedPair(SurfacePair):
     """
 
     default_name = "tied pair {}"
-
-    def __post_init__(self) -> None:
-        """Check the data."""
-        self._checked("Bodies that share the nodes of a surface are tied already")
+    remedy = "Bodies that share the nodes of a surface are tied already"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +87,8 @@ class PeriodicPair(SurfacePair):
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = self._checked()
+        super().__post_init__()
+        label = checked_label(self)
         if self.translation is None and self.rotation is None:
             raise InputError(
                 f"{label}: neither a translation nor a rotation from the master to the slave is "
@@ -99,8 +98,7 @@ class PeriodicPair(SurfacePair):
             as_coordinates(self.translation, f"{label}: the translation")
         if self.rotation is not None:
             _check_rotation(self.rotation, label)
-        if self.jump is not None and not callable(self.jump):
-            as_coordinates(self.jump, f"{label}: the jump")
+        check_field(self.jump, f"{label}: the jump")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +145,8 @@ class BoltPreload(SurfacePair):
 
     def __post_init__(self) -> None:
         """Check the data."""
-        label = self._checked()
+        super().__post_init__()
+        label = checked_label(self)
         if (self.force is None) == (self.shortening is None):
             raise InputError(f"{label}: give the force or the shortening, one of the two")
         for what in ("force", "shortening"):

@@ -12,7 +12,7 @@ from itertools import permutations
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.contact.conditions.pairing import Terms
+from fenics_tfeti.fem.contact.conditions.pairing import Conditions, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
@@ -29,27 +29,8 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.parallel import concatenate_buffers
+from fenics_tfeti.parallel import concatenate_buffers, positions
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-
-@dataclass(frozen=True)
-class MortarConditions:
-    """Mortar conditions at the k slave nodes that this rank owns."""
-
-    terms: Terms  # by ascending slave node
-    # (k, gdim): means of the slave's normals with the dual functions, as unit vectors
-    normal: Vector
-    gap: Vector  # (k, gdim): mean vectors from the slave to the master [m]
-    area: Vector  # (k,): integrals of the dual functions, with the weight of the measure
-    coverage: Vector  # (k,): covered share of the area that belongs to the node
-    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
-    chord: Vector
-    deviation: Vector  # (k,): the same less the curvature of the facets
-    angle: Vector  # (k,): largest angle between the normals of facets and those opposite [degrees]
-    covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
-    # covered area of this rank's slave facets of each contact, without weight [m^2 or m]
-    covered_area: Vector
 
 
 def mortar_conditions(
@@ -59,7 +40,7 @@ def mortar_conditions(
     shared: Numbers,
     prescribed: Mask,
     before: Numbers,
-) -> MortarConditions:
+) -> Conditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
     The slave's facets are those of this rank, of the master those near them. No condition have
@@ -76,7 +57,7 @@ def mortar_conditions(
 
 def tied_conditions(
     surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, prescribed: Mask
-) -> list[MortarConditions]:
+) -> list[Conditions]:
     """Return the conditions for each component of surfaces that stay together. Collective.
 
     A component has none at nodes where supports hold it, see `_held_by_supports`; for the others
@@ -130,7 +111,7 @@ def _conditions(
     free: Mask,
     before: Numbers,
     dual: bool = True,
-) -> MortarConditions:
+) -> Conditions:
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
     matrices = mortar_matrices(integrals, slave.facets, master.facets, dual)
     all_nodes = surface.boundary.nodes
@@ -138,39 +119,36 @@ def _conditions(
         slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
     )
     sharing = SharedMultipliers.of(all_nodes, slave, integrals, areas, free, before)
-    D, M = matrices.D.tocoo(), matrices.M.tocoo()
-    row, position, share = sharing.rows(np.concatenate([slave.nodes[D.row], slave.nodes[M.row]]))
+    nodes, S = sharing.matrix(slave.nodes)
+    D, M = (S @ matrices.D).tocoo(), (S @ matrices.M).tocoo()
     terms = collect_terms(
         all_nodes,
-        row,
-        np.concatenate([slave.nodes[D.col], master.nodes[M.col]])[position],
-        share * np.concatenate([D.data, -M.data])[position],
-        np.repeat([True, False], [D.nnz, M.nnz])[position],
+        np.concatenate([nodes[D.row], nodes[M.row]]),
+        np.concatenate([slave.nodes[D.col], master.nodes[M.col]]),
+        np.concatenate([D.data, -M.data]),
+        np.repeat([True, False], [D.nnz, M.nnz]),
     )
     own = terms.slave - all_nodes.first
-    row, position, share = sharing.rows(slave.nodes)
     normal = slave.normal * matrices.area[:, None]
-    integral = share[:, None] * np.column_stack([normal, matrices.gap, matrices.area])[position]
-    sums = all_nodes.sum_at_owners(row, integral)[own]
+    integrated = S @ np.column_stack([normal, matrices.gap, matrices.area])
+    sums = all_nodes.sum_at_owners(nodes, integrated)[own]
     normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
     total, covered = areas[own].T
     largest, corners = _largest_of_facets(slave, master, integrals)
     chord, deviation, angle = all_nodes.sum_at_owners(corners, largest, np.maximum)[own].T
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
-    return MortarConditions(
+    return Conditions(
         terms,
         normal / np.linalg.norm(normal, axis=1, keepdims=True),
         gap / area,
         area[:, 0],
         covered / total,
         chord,
-        deviation,
         angle,
         facets,
-        np.bincount(surface.facet_contact[facets], integrals.covered, len(surface.extent)).astype(
-            np.float64, copy=False
-        ),
+        np.bincount(surface.facet_contact[facets], integrals.covered, len(surface.extent)),
+        deviation,
     )
 
 
@@ -224,25 +202,18 @@ class SharedMultipliers:
         pairs = inverse.reshape(2, -1).T
         return SharedMultipliers(nodes, multiplier_shares(coverage, least, free, pairs))
 
-    def rows(self, nodes: Numbers) -> tuple[Numbers, Numbers, Vector]:
-        """Return the nodes whose conditions take the terms of some nodes (t,), in any order.
-
-        The results (s,) are the nodes with conditions, the position of the node whose terms each
-        takes, and its share of them.
-        """
-        number, places = np.ones(nodes.size, dtype=np.int64), np.zeros(nodes.size, dtype=np.int64)
-        has_shares = np.zeros(nodes.size, dtype=bool)
-        if self.nodes.size:
-            places = np.minimum(np.searchsorted(self.nodes, nodes), self.nodes.size - 1)
-            has_shares = self.nodes[places] == nodes
-            number = np.where(has_shares, np.diff(self.shares.indptr)[places], 1)
-        position = np.repeat(np.arange(nodes.size), number)
-        entry = np.arange(position.size) - np.repeat(np.cumsum(number) - number, number)
-        rows, share, shared_terms = nodes[position], np.ones(position.size), has_shares[position]
-        entry = self.shares.indptr[places[position[shared_terms]]] + entry[shared_terms]
-        rows[shared_terms] = self.nodes[self.shares.indices[entry]]
-        share[shared_terms] = self.shares.data[entry]
-        return rows, position, share
+    def matrix(self, nodes: Numbers) -> tuple[Numbers, sp.csr_matrix]:
+        """Return the nodes (r,) whose conditions take terms of some nodes (n,), and the shares."""
+        place = positions(self.nodes, nodes)
+        alone, sharing = np.flatnonzero(place < 0), np.flatnonzero(place >= 0)
+        part = self.shares[:, place[sharing]].tocoo()
+        shared, row = np.unique(part.row, return_inverse=True)
+        row = np.concatenate([np.arange(alone.size), alone.size + row])
+        column = np.concatenate([alone, sharing[part.col]])
+        values = np.concatenate([np.ones(alone.size), part.data])
+        shape = (alone.size + shared.size, nodes.size)
+        shares = sp.csr_matrix((values, (row, column)), shape)
+        return np.concatenate([nodes[alone], self.nodes[shared]]), shares
 
 
 def collect_terms(

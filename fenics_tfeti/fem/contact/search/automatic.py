@@ -41,6 +41,7 @@ from fenics_tfeti.parallel import (
     concatenate_ranks,
     first_of_rank,
     raise_collectively,
+    send_rows,
 )
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
@@ -146,7 +147,7 @@ def _opposite_facets(
     """
     x, n = facets.corners, facets.number.size
     v, gdim = x.shape[1:]
-    reach = facets.sizes() if distance is None else np.full(n, float(distance))
+    reach = edge_lengths(x).min(axis=1) if distance is None else np.full(n, float(distance))
     chosen = [np.arange(n)]
     if comm.size > 1:
         around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
@@ -251,11 +252,7 @@ def _surfaces(
     side_of = _sides(comm, slaves, facets, face)
 
     def keys(rows: Numbers) -> Numbers:
-        faces = np.column_stack([rows[:, :2], face[rows[:, 2]]])
-        if not side_of:
-            faces[:, 2] = 0
-            return faces
-        distinct, inverse = distinct_rows(faces)
+        distinct, inverse = distinct_rows(np.column_stack([rows[:, :2], face[rows[:, 2]]]))
         distinct[:, 2] = [side_of.get((a, b, number), 0) for a, b, number in distinct.tolist()]
         return distinct[inverse]
 
@@ -305,20 +302,16 @@ def _sides(
     for a, b, *ends in concatenate_ranks(comm, np.concatenate(meetings)).tolist():
         for first, second in (ends, ends[::-1]):
             neighbours.setdefault((a, b, first), set()).add(second)
-    places: dict[tuple[int, int, int], list[Any]] = {key: [] for key in neighbours}
+    places: dict[tuple[int, int, int], list[Any]] = {}
     for key, corners in zip(map(tuple, faces.tolist()), facets.corners[facet], strict=True):
-        if key in places:
-            places[key].extend(map(tuple, corners.tolist()))
-    ends_of = {key: (min(points), max(points)) for key, points in places.items() if points}
-    ends_of_ranks = comm.allgather(ends_of)
+        if key in neighbours:
+            places.setdefault(key, []).extend(map(tuple, corners.tolist()))
+    parts = comm.allgather({key: (min(x), max(x)) for key, x in places.items()})
     # the order of faces does not depend on how facets are distributed
-    place = {
-        key: tuple(
-            choose(ends[key][k] for ends in ends_of_ranks if key in ends)
-            for k, choose in enumerate((min, max))
-        )
-        for key in neighbours
-    }
+    place = {}
+    for key in neighbours:
+        low, high = zip(*(part[key] for part in parts if key in part), strict=True)
+        place[key] = min(low), max(high)
     side_of: dict[tuple[int, int, int], int] = {}
     for key in sorted(neighbours, key=lambda key: (key[:2], place[key])):
         taken = {side_of.get((*key[:2], other)) for other in neighbours[key]}
@@ -333,7 +326,7 @@ def _sent_to_owners(comm: MPI.Intracomm, rows: Numbers, owned: int) -> Numbers:
     """
     firsts = np.cumsum([0, *comm.allgather(owned)])
     rank = np.searchsorted(firsts, rows[:, -1], "right") - 1
-    arrived = np.concatenate(all_to_all(comm, [rows[rank == k] for k in range(comm.size)]))
+    (arrived,) = send_rows(comm, rank, rows)
     arrived[:, -1] -= firsts[comm.rank]
     return distinct_rows(arrived)[0]
 
@@ -369,11 +362,6 @@ class ExteriorFacets:
             input_numbers[nodes],
             domain.geometry.x[nodes, : domain.geometry.dim],
         )
-
-    def sizes(self) -> Vector:
-        """Return the length of the shortest edge of each facet (f,) [m]."""
-        sizes: Vector = edge_lengths(self.corners).min(axis=1)
-        return sizes
 
     def faces(self, comm: MPI.Intracomm) -> Numbers:
         """Return the number, over all ranks, of the smooth face that each facet is in. Collective.

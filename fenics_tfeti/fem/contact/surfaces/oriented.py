@@ -83,8 +83,6 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     t, dim = x.shape[1], x.shape[2] - 1
     if t == dim + 1 and weight is None:
         return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
-    if t == 4 and weight is None:
-        return _of_quadrilaterals(x)
     cell = "interval" if dim == 1 else "triangle" if t in (3, 6) else "quadrilateral"
     xi, factors = quadrature(cell, 4 if cell == "triangle" else 5)
     if cell == "quadrilateral":
@@ -98,17 +96,6 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     if weight is not None:
         normal *= (weight @ functions.T)[:, :, None]
     weighted: Vector = np.einsum("q,qv,mqd->mvd", factors, functions, normal)
-    return weighted
-
-
-def _of_quadrilaterals(x: Vector) -> Vector:
-    """Return `corner_normals` of bilinear quadrilaterals without weight, in closed form."""
-    # in the order of the corners: along the edges from 0 to 1 and from 0 to 3, and opposite ones
-    u = x[:, [1, 1, 2, 2]] - x[:, [0, 0, 3, 3]]
-    w = x[:, [3, 2, 2, 3]] - x[:, [0, 1, 1, 0]]
-    # mass matrix of the unit square
-    mass = np.array([[4, 2, 1, 2], [2, 4, 2, 1], [1, 2, 4, 2], [2, 1, 2, 4]]) / 36.0
-    weighted: Vector = np.einsum("ij,mjk->mik", mass, np.cross(u, w))
     return weighted
 
 

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.search.search import match_contacts
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, as_ufl_weight
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]

@@ -9,7 +9,7 @@ from strips import bend, strips
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair
-from fenics_tfeti.fem.contact.search.search import match_contacts
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.normals import (
     normals_in_symmetry_planes,
     prescribed_components,

@@ -128,12 +128,11 @@ class ContactSearch:
             fixed = prescribed_components(self.boundary.nodes, prescribed)
             mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
             old = {k: mortar[id(tie)] for k, tie in ties.items() if id(tie) in mortar}
-            tied = _unchanged(self.boundary, old, fixed)
-            tied |= {k: self._tied(tie, k, last, fixed) for k, tie in ties.items() if k not in tied}
-            found_ties = [
-                FoundTie(k, tie, tied[k], self.rigid.master_of(tied[k].rows, tied[k].name))
-                for k, tie in ties.items()
-            ]
+            unchanged, found_ties = _unchanged(self.boundary, old, fixed), []
+            for k, tie in ties.items():
+                tied = unchanged.get(k) or self._tied(tie, k, last, fixed)
+                master = self.rigid.master_of(tied.rows, tied.name)
+                found_ties.append(FoundTie(k, tie, tied, master))
             bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
             found = ContactSet(
                 self.boundary, found_contacts, found_ties, prescribed, bodies, self.rigid
@@ -163,8 +162,8 @@ class ContactSearch:
             case PeriodicPair():
                 return periodic_rows(self.boundary, tie, name)
             case BoltPreload():
-                preloads = [found.pairing.preload for found in last.ties if found.number == number]
-                return preload_rows(self.boundary, tie, number, name, *(preloads or [None]))
+                known = {found.number: found.pairing.preload for found in last.ties}
+                return preload_rows(self.boundary, tie, number, name, known.get(number))
             case LinearRows():
                 return linear_rows(self.boundary, tie, name)
 

@@ -1,0 +1,173 @@
+"""A solution at the contacts and ties of a problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dolfinx.fem import Function
+
+from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, contact_rows, row_values
+from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
+from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
+from fenics_tfeti.fem.contact.solution.results import (
+    BoltResult,
+    ContactEntry,
+    ContactResult,
+    Results,
+    RigidBodyResult,
+    TiedResult,
+)
+from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, gather_solved
+from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.feti.solver import TornSolution
+from fenics_tfeti.typing import Numbers, Vector
+
+
+@dataclass(frozen=True)
+class SolvedContacts:
+    """A solution at contacts and tied pairs, with the conditions that it fulfils."""
+
+    conditions: ContactSet
+    contacts: list[ContactResult]  # in the roles that are used
+    ties: list[TiedResult]
+    displacement: Function
+    bodies: RigidBodies
+    body_results: list[RigidBodyResult]
+
+    @staticmethod
+    def of(
+        conditions: ContactSet, solution: TornSolution, uh: Function, bodies: RigidBodies
+    ) -> SolvedContacts:
+        """Return a solution that was found with conditions, and has moved bodies. Collective."""
+        nodes, found = conditions.boundary.nodes, conditions.contacts
+        rows = contact_rows(conditions.pairings, nodes.components)
+        opening = (rows.gap - row_values(nodes, rows, owned_values(uh))) / rows.length
+        sites = consecutive([(f.friction is not None) * f.pairing.gap.size for f in found])
+        for f, own in zip(found, conditions.positions, strict=True):
+            if f.on_body is not None:
+                frame = bodies.frame_of(f.body)
+                moved = frame.displacements(frame.motion, f.on_body.places)
+                opening[own] += np.sum(f.pairing.normal * moved, axis=1)
+        contacts = [
+            _contact_result(conditions, f, solution, opening, *of_contact)
+            for f, *of_contact in zip(found, conditions.positions, sites, strict=True)
+        ]
+        rows_of_ties = consecutive([tie.pairing.rows.size for tie in conditions.ties])
+        shortenings = conditions.shortenings(solution.displacements)
+        ties = [
+            _tied_result(conditions, tie, solution, own, shortenings.get(tie.number))
+            for tie, own in zip(conditions.ties, rows_of_ties, strict=True)
+        ]
+        results = [_body_result(conditions, frame, solution) for frame in bodies.frames]
+        return SolvedContacts(conditions, contacts, ties, uh, bodies, results)
+
+    def as_given(self) -> Results:
+        """Return the results by number, in the roles that the user gave."""
+        numbered: dict[int, ContactResult | TiedResult] = {}
+        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
+            is_exchanged = found.roles.used is not found.roles.given
+            numbered[found.number] = result.seen_from_master() if is_exchanged else result
+        for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
+            numbered[tie.number] = tied_result
+        return Results([numbered[number] for number in sorted(numbered)])
+
+    def obstacle_displacements(self) -> SlaveValues:
+        """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
+        conditions, parts = self.conditions, []
+        gdim = conditions.boundary.nodes.components
+        for found in conditions.contacts:
+            on, moved = found.on_body, np.zeros((0, gdim))
+            if found.friction is not None:
+                moved = found.friction.obstacle_displacement
+                if on is not None:
+                    before = conditions.bodies.frame_of(found.body)
+                    motion = self.bodies.frame_of(found.body).motion - before.motion
+                    step = before.displacements(motion, on.places)
+                    moved = on.slave - before.undeformed_places(on.slave) + step
+            parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
+        return SlaveValues.of(parts, gdim)
+
+    def nodal_forces(self) -> SlaveValues:
+        """Return the normal forces (k,) [N]."""
+        return SlaveValues.of((result.dofs, result.normal_force) for result in self.contacts)
+
+    def gathered(self) -> list[SolvedContact]:
+        """Gather the solution on the slaves' surfaces on every rank. Collective."""
+        return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
+
+
+def _contact_result(
+    conditions: ContactSet,
+    found: FoundContact,
+    solution: TornSolution,
+    opening: Vector,
+    rows: Numbers,
+    sites: Numbers,
+) -> ContactResult:
+    pairing, friction = found.pairing, found.friction
+    force = solution.normal_force[rows]
+    entry = ContactEntry(
+        **vars(solution.report.contacts[found.number]),
+        pairing=found.undeformed.summary,
+        roles_ratio=found.roles.ratio,
+        roles=found.roles.reason,
+    )
+    return ContactResult(
+        pairing.name,
+        entry,
+        pairing.slave,
+        conditions.dofs(pairing.slave),
+        pairing.coordinates,
+        found.gap,
+        opening[rows],
+        pairing.normal,
+        normal_force=force,
+        pressure=force / pairing.area,
+        active=force > 0.0,
+        area=pairing.area,
+        coverage=pairing.coverage,
+        friction=None if friction is None else friction.result(solution, sites, pairing.area),
+        comm=conditions.boundary.nodes.comm,
+    )
+
+
+def _tied_result(
+    conditions: ContactSet,
+    found: FoundTie,
+    solution: TornSolution,
+    rows: Numbers,
+    shortening: float | None,
+) -> TiedResult:
+    """Return the result of a tie; the shortening is that of a bolt where it is an unknown."""
+    tie, force = found.pairing, found.pairing.forces(solution.tied_force[rows])
+    entry = ContactEntry(**vars(solution.report.contacts[found.number]), pairing=tie.summary)
+    if tie.preload is not None:
+        tension = float(np.array(entry.force) @ tie.preload.direction)
+        shortening = tie.preload.shortening if shortening is None else shortening
+        entry = replace(entry, tension=tension, shortening=shortening)
+    return (TiedResult if tie.preload is None else BoltResult)(
+        tie.name,
+        entry,
+        tie.nodes,
+        conditions.dofs(tie.nodes),
+        tie.coordinates,
+        force,
+        force / tie.area[:, None],
+        tie.area,
+        conditions.boundary.nodes.comm,
+    )
+
+
+def _body_result(
+    conditions: ContactSet, frame: BodyFrame, solution: TornSolution
+) -> RigidBodyResult:
+    force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
+    for found in conditions.entries:
+        is_obstacle = isinstance(found, FoundContact) and found.body is frame.body
+        if is_obstacle or found.rigid_master is frame.body:
+            entry = solution.report.contacts[found.number]
+            force += entry.force_on_master
+            moment += entry.moment_on_master
+    return RigidBodyResult.of(frame, force, moment)
