@@ -20,10 +20,11 @@ This demo illustrates how to
 - compare with linear theory where it holds.
 
 Run it by `python demos/beam_on_beam.py`, or on several processes by
-`mpirun -n 2 python demos/beam_on_beam.py`; it draws pictures into `results/`. All units are SI,
-forces are per metre of depth.
+`mpirun -n 2 python demos/beam_on_beam.py`; it draws pictures into `results/`. A travel of the
+clamp in mm, such as 30, may be given. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -56,7 +57,7 @@ comm = MPI.COMM_WORLD
 mm = 1e-3
 E, nu = 1e7, 0.3
 length, t, overlap, gap = 100 * mm, 6 * mm, 60 * mm, 1 * mm
-drop = 90 * mm
+drop = (float(sys.argv[1]) if len(sys.argv) > 1 else 90) * mm
 lower = Box((0, 0), (length, t), (40, 2), "lower")
 upper = Box((length - overlap, t + gap), (2 * length - overlap, 2 * t + gap), (34, 2), "upper")
 beams = boxes(comm, [lower, upper], "quadrilateral")
@@ -94,7 +95,7 @@ def set_load(s):
 # A step after two easy ones is twice as long.
 
 way, force, energies, newton = [gap], [0.0], [0.0], []
-for s in problem.steps(set_load, 0.0, drop, first=0.05 * drop):
+for s in problem.steps(set_load, 0.0, drop, first=4.5 * mm):
     way.append(s)
     force.append(problem.results[0].force[1])
     energies.append(comm.allreduce(fem.assemble_scalar(stored)))

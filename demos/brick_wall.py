@@ -16,10 +16,11 @@ This demo illustrates how to
 - increase a load step by step, with slips that stay;
 - catch the error for a load that friction cannot hold.
 
-Run it by `python demos/brick_wall.py`; it draws pictures into `results/`.
-All units are SI; forces are per metre of the wall's thickness.
+Run it by `python demos/brick_wall.py`; it draws pictures into `results/`. Other pushes, such as
+0.33 0.36, may be given. All units are SI; forces are per metre of the wall's thickness.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -102,8 +103,9 @@ problem = ContactProblem(
 
 # ## Pushed until it gives way
 
+pushes = sys.argv[1:] or [0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4]
 moved, limit = [], None
-for push in (0.0, 0.1, 0.2, 0.25, 0.3, 0.33, 0.36, 0.4):
+for push in map(float, pushes):
     traction.value[0] = push * pressure
     try:
         solution = problem.solve().copy()

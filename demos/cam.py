@@ -23,10 +23,11 @@ This demo illustrates how to
 - put a spring into the forms, and check the balance of energy.
 
 Run it by `python demos/cam.py`, or on several processes by `mpirun -n 2 python demos/cam.py`; it
-draws pictures into `results/`. The mesh comes from `meshes/cam.py`. All units are SI, forces are
-per metre of depth.
+draws pictures into `results/`. The mesh comes from `meshes/cam.py`. An angle in degrees, such as
+90, may be given instead of 180. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -52,7 +53,8 @@ E, nu = 1e7, 0.3
 radius, eccentricity, foot = 0.5, 0.15, 0.25
 stiffness = 1e5  # of the spring [N/m], per metre of depth
 shortened = radius - eccentricity - foot
-angles = np.linspace(0, np.pi, 13)
+largest = float(sys.argv[1]) if len(sys.argv) > 1 else 180.0
+angles = np.radians(np.linspace(0, largest, round(largest / 15) + 1))
 
 bodies = read_msh(here.parent / "meshes" / "cam.msh", comm, gdim=2)
 mesh, facet_tags, tags = bodies.mesh, bodies.facet_tags, bodies.names
@@ -123,7 +125,7 @@ for step, t in enumerate(angles):
     if comm.rank == 0:
         passes = len(problem.report.passes)
         print(f"{np.degrees(t):4.0f} degrees: moment {M[-1]:7.1f} N m/m, {passes} passes")
-    if 2 * step == len(angles) - 1:
+    if step == 6:
         draw_deformed(
             results / "cam.png",
             uh,
@@ -154,7 +156,7 @@ if comm.rank == 0:
     print(f"work of the moment {work[-1]:.1f} J/m, energy stored {stored[-1]:.1f} J/m")
     print(f"largest difference {miss:.2%} of the work")
 
-fine = np.linspace(0, np.pi, 200)
+fine = np.linspace(0, angles[-1], 200)
 draw_profile(
     results / "cam_moment.png",
     {

@@ -24,10 +24,11 @@ This demo illustrates how to
 - compare with a theory of thin bodies.
 
 Run it by `python demos/crushed_ring.py`, or on several processes by
-`mpirun -n 2 python demos/crushed_ring.py`; it draws pictures into `results/`. All units are SI,
-forces are per metre of depth.
+`mpirun -n 2 python demos/crushed_ring.py`; it draws pictures into `results/`. A part of the
+height to be closed, such as 0.2, may be given. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -128,8 +129,9 @@ def elastica(height):
 #
 # Forces of half a ring are doubled.
 
+closing = 2 * R * (float(sys.argv[1]) if len(sys.argv) > 1 else 0.6)
 heights, forces, exact, newton = [], [], [], []
-for step in problem.steps(lambda s: closed.update(now=s), 0.0, 1.2 * R, first=0.1 * R):
+for step in problem.steps(lambda s: closed.update(now=s), 0.0, closing, first=0.1 * R):
     heights.append(2 * R - step)
     forces.append(-2 * problem.results[0].force[1])
     exact.append(elastica(heights[-1]))

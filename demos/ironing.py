@@ -22,10 +22,11 @@ This demo illustrates how to
 - check the balance of energy with friction.
 
 Run it by `python demos/ironing.py`, or on several processes by `mpirun -n 2 python
-demos/ironing.py`; it draws pictures into `results/`. All units are SI, forces are per metre of
-depth.
+demos/ironing.py`; it draws pictures into `results/`. A number of load steps, such as 5, may be
+given. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -98,7 +99,7 @@ stored = fem.form(energy)
 way, reaction, energies, dissipated, newton = [], [], [], [], []
 parts = [0, 0.1, 0.3, 0.6, 1]
 path = [(0, -0.5 * pressed), *((part * dragged, -pressed) for part in parts)]
-for displacement in path:
+for displacement in path[: int(sys.argv[1]) if len(sys.argv) > 1 else None]:
     motion.x.array.reshape(-1, 2)[:] = displacement
     problem.solve()
     problem.advance()
@@ -118,7 +119,7 @@ work = np.sum(0.5 * (H[1:] + H[:-1]) * np.diff(way[dragging]))
 gained, friction = energies[-1] - energies[1], sum(dissipated[2:])
 if comm.rank == 0:
     products = np.mean([step.products for step in newton])
-    print(f"{len(newton)} Newton steps in {len(path)} load steps, {products:.0f} products in each")
+    print(f"{len(newton)} Newton steps in {len(way)} load steps, {products:.0f} products in each")
     print(f"drag {H[-1]:.0f} N/m under {N[-1]:.0f} N/m, ratio {H[-1] / N[-1]:.3f}, mu 0.3")
     print(
         f"work of dragging {work:.3f} J/m, friction and stored energy {friction + gained:.3f} J/m"

@@ -19,10 +19,11 @@ This demo illustrates how to
 - get from one contact to the pressure along a wall.
 
 Run it by `python demos/seal_in_groove.py`, or on several processes by
-`mpirun -n 2 python demos/seal_in_groove.py`; it draws pictures into `results/`. All units are SI,
-forces are per metre of depth.
+`mpirun -n 2 python demos/seal_in_groove.py`; it draws pictures into `results/`. A squeeze in
+mm, such as 0.2, may be given. All units are SI, forces are per metre of depth.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -56,7 +57,7 @@ comm = MPI.COMM_WORLD
 mm = 1e-3
 w, h, crown = 5 * mm, 3 * mm, 1.5 * mm  # of the seal
 half, depth, t = 3 * mm, 3.5 * mm, 1.5 * mm  # of the groove; thickness of its walls
-squeeze = 1 * mm
+squeeze = (float(sys.argv[1]) if len(sys.argv) > 1 else 1) * mm
 parts = [
     Box((-w / 2, 0), (w / 2, h), (14, 10), "seal"),
     Box((-half - t, -t), (half + t, 0), (14, 2), "floor"),
@@ -127,7 +128,7 @@ def set_load(s):
 # A step after two easy ones is twice as long, one that does not converge is halved.
 
 way, force, energies, newton = [0.0], [0.0], [0.0], []
-for s in problem.steps(set_load, 0.0, squeeze, first=0.05 * squeeze):
+for s in problem.steps(set_load, 0.0, squeeze, first=0.05 * mm):
     way.append(s)
     force.append(abs(problem.results["lid"].force[1]))
     energies.append(comm.allreduce(fem.assemble_scalar(stored)))

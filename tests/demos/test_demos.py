@@ -14,6 +14,12 @@ def demo(request, tmp_path):
     return run_demo(name, *getattr(request, "param", ()), folder=tmp_path)
 
 
+def also_short(*arguments):
+    """Run a demo with arguments that make it short, and by `make verify` as a whole."""
+    runs = [arguments, pytest.param((), marks=pytest.mark.heavy)]
+    return pytest.mark.parametrize("demo", runs, indirect=True, ids=["short", "whole"])
+
+
 def test_two_beams(demo):
     """Equilibrium of the upper beam: 20 MPa on 3 m^2."""
     assert demo["report"].contacts[0].normal_force == pytest.approx(60e6, rel=1e-6)
@@ -90,6 +96,7 @@ def test_belt_on_drum(demo):
 
 
 @pytest.mark.once
+@also_short("0.33", "0.36")
 def test_brick_wall(demo):
     """The upper course slides where the push is more than the coefficient of its weight."""
     assert demo["limit"] == 0.36
@@ -156,22 +163,27 @@ def test_finer_meshes(demo):
 
 
 @pytest.mark.once
+@also_short("12")
 def test_sliding_block(demo):
     """The force is antisymmetric, its work that of lifting the block, and zero in the end."""
-    H, largest = demo["H"], np.abs(demo["H"]).max()
-    assert np.abs(H + H[::-1]).max() < 0.035 * largest
-    assert demo["parts"][: demo["top"]].sum() == pytest.approx(demo["rigid_work"], rel=0.01)
-    assert abs(demo["parts"].sum()) < 0.02 * demo["rigid_work"]
+    H, top, largest = demo["H"], demo["top"], np.abs(demo["H"]).max()
+    assert abs(H[top]) < 0.01 * largest
+    assert demo["parts"][:top].sum() == pytest.approx(demo["rigid_work"], rel=0.01)
+    if len(H) > top + 1:
+        assert np.abs(H + H[::-1]).max() < 0.035 * largest
+        assert abs(demo["parts"].sum()) < 0.02 * demo["rigid_work"]
     np.testing.assert_allclose(demo["F"], demo["pressure"] * demo["width"], rtol=1e-4)
 
 
 @pytest.mark.once
+@also_short("90")
 def test_cam(demo):
     """The work of the moment is the energy stored; elastic bodies differ little from rigid ones."""
     assert demo["miss"] < 0.01
     M, rigid = demo["M"], demo["rigid"](demo["angles"])
     assert np.abs(M - rigid).max() < 0.05 * rigid.max()
-    assert (M[1:-1] < rigid[1:-1]).all()
+    moving = rigid > 0.01 * rigid.max()
+    assert (M[moving] < rigid[moving]).all()
 
 
 def test_shrink_fit(demo):
@@ -277,6 +289,7 @@ def test_demos_say_how_they_are_run():
 
 
 @pytest.mark.once
+@also_short("1e-6")
 def test_fibre_block(demo):
     """Cords cost no more than half as many products again; the same energy without deflation."""
     counts = {name: products[-1] for name, products in demo["products"].items()}
@@ -290,34 +303,34 @@ def test_fibre_block(demo):
 
 
 @pytest.mark.once
+@also_short("5")
 def test_ironing(demo):
     """Friction at its bound and the bulge before the die; the balance of energy."""
-    ratio = demo["H"][-3:] / demo["N"][-3:]
+    ratio = demo["H"][2:] / demo["N"][2:]
     assert ((ratio > 0.3) & (ratio < 0.31)).all()
     assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.04)
 
 
 @pytest.mark.once
+@also_short("0.2")
 def test_seal_in_groove(demo):
     """The energy is the work of the lid; both walls are pressed alike."""
     assert demo["energies"][-1] == pytest.approx(demo["work"], rel=0.02)
     left, right = (demo["problem"].results[f"{side} wall"].force for side in ("left", "right"))
-    assert left[0] > 0.0
+    assert (left[0] > 0.0) == (demo["squeeze"] > 0.9e-3)
     np.testing.assert_allclose(right, [-left[0], left[1]], rtol=1e-4)
 
 
 @pytest.mark.once
+@also_short("0.2")
 def test_crushed_ring(demo):
     """The forces of the elastica, at each height."""
-    assert demo["heights"][-1] == pytest.approx(0.8 * demo["R"])
+    assert demo["heights"][-1] == pytest.approx(2 * demo["R"] - demo["closing"])
     assert demo["error"] < 0.01
 
 
-# the whole way takes 42 load steps with friction
 @pytest.mark.once
-@pytest.mark.parametrize(
-    "demo", [("0.6",), pytest.param((), marks=pytest.mark.heavy)], indirect=True
-)
+@also_short("0.3")
 def test_snap_fit(demo):
     """The balance of energy; the force changes its sign behind the bump, and ends with zero."""
     H, way = demo["H"], np.array(demo["way"])
@@ -335,6 +348,7 @@ def test_snap_fit(demo):
 
 
 @pytest.mark.once
+@also_short("30")
 def test_beam_on_beam(demo):
     """Beam theory for small deflections; the energy is the work of the clamp."""
     assert demo["force"][1] == pytest.approx(demo["linear"][1], rel=0.005)
