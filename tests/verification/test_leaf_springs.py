@@ -31,8 +31,7 @@ def springs(steps: int) -> Scene:
     return scene
 
 
-@pytest.mark.parametrize("coefficient", [0.0, COEFFICIENT])
-@pytest.mark.parametrize("steps", [0, 1])
+@pytest.mark.parametrize(("steps", "coefficient"), [(0, 0.0), (0, COEFFICIENT), (1, COEFFICIENT)])
 def test_leaves_share_the_load(steps, coefficient):
     scene = springs(steps)
     friction = Coulomb(coefficient) if coefficient else None

@@ -12,7 +12,6 @@ from scenes import (
     GROUND,
     LOADED,
     MASTER,
-    ROLLER,
     SIDE_X,
     SLAVE,
     TRACTION,
@@ -34,7 +33,7 @@ COMM = MPI.COMM_WORLD
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 
 
-SECOND_SLAVE, SECOND_MASTER = 15, 16
+SECOND_MASTER = 16
 
 
 def test_tilted_normal_shortens_the_gap():
@@ -90,19 +89,15 @@ def both(tags):
 @pytest.mark.parametrize("cell", CELLS)
 def test_partial_contact_counts_the_free_nodes(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    summaries = [pairing.summary for pairing in match_contacts(MeshBoundary.of(V), both(tags))]
+    pairings = match_contacts(MeshBoundary.of(V), both(tags))
+    summaries = [pairing.summary for pairing in pairings]
     rows = 3 if scenes.dimension(cell) == 3 else 1
     # one of three triangles at a corner of the lower body is covered: too little for a condition
     barely = 1 if cell == "tetrahedron" else 0
     assert [entry["pairs"] for entry in summaries] == 2 * [5 * rows - barely]
     assert [entry["unmatched"] for entry in summaries] == 2 * [8 * rows + barely]
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_area_of_a_partial_contact_is_that_of_the_master(cell):
-    _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    for pairing in match_contacts(MeshBoundary.of(V), both(tags)):
-        assert pairing.area.sum() == pytest.approx(1.0, rel=1e-12)
+    # the areas are those of the masters
+    assert [pairing.area.sum() for pairing in pairings] == pytest.approx([1.0, 1.0], rel=1e-12)
 
 
 def test_slab_over_two_bodies():
@@ -122,36 +117,6 @@ def test_slab_over_two_bodies():
         "right",
     ]
     assert all(force > TRACTION for force in normal_forces(problem))
-
-
-def test_body_that_is_slave_of_one_and_master_of_another():
-    """Three loose blocks on each other: all carry the load on the top."""
-    parts = [Box((0, y), (1, y + 1), (3, 3)) for y in (0, 1, 2)]
-    tagged = boxes(MPI.COMM_SELF, parts, "quadrilateral")
-    tags = tag_facets(
-        tagged.mesh,
-        [
-            (CLAMPED, at(1, 0.0), 1),
-            (MASTER, at(1, 1.0), 1),
-            (SLAVE, at(1, 1.0), 2),
-            (SECOND_MASTER, at(1, 2.0), 2),
-            (SECOND_SLAVE, at(1, 2.0), 3),
-            (LOADED, at(1, 3.0), 3),
-            (SIDE_X, lambda x: np.isclose(x[0], 0.0) & (x[1] > 0.9), 2),
-            (ROLLER, lambda x: np.isclose(x[0], 0.0) & (x[1] > 1.9), 3),
-        ],
-        tagged.cell_tags,
-    )
-    scene = scenes.Scene(tagged.mesh, tags, tagged.cell_tags)
-    scene.add_load(LOADED, -TRACTION)
-    scene.fix(CLAMPED, 1)
-    for tag in (CLAMPED, SIDE_X, ROLLER):
-        scene.fix(tag, 0)
-    scene.add_pair(SLAVE, MASTER)
-    scene.add_pair(SECOND_SLAVE, SECOND_MASTER)
-    problem = scene.problem(options={"rtol": 1e-10})
-    problem.solve()
-    assert normal_forces(problem) == pytest.approx([TRACTION, TRACTION], rel=1e-8)
 
 
 def test_shared_nodes_of_a_partial_contact_stay_free():
@@ -202,10 +167,6 @@ def test_rows_of_all_contacts_follow_each_other():
     rows = contact_rows(match_contacts(MeshBoundary.of(V), contacts), 2)
     assert rows.contact.tolist() == [0] * 5 + [1] * 5
     assert np.diff(rows.offsets).tolist() == [2] * 5 + [1] * 5
-
-
-def test_no_contacts_are_no_rows():
-    assert contact_rows([], 3).coefficients.shape == (0, 3)
 
 
 def test_gaps_of_touching_surfaces_are_zero_exactly():

@@ -111,19 +111,20 @@ def test_sphere_below_the_body(cell):
     assert contact.summary["largest_angle"] == pytest.approx(steepest, rel=1e-12)
 
 
-def ledge(far: float):
-    """Return an obstacle below x < 0.6 only; beyond, its gap is `far` and its normal NaN."""
+def punch(far):
+    """Return an obstacle below x <= 0.5 only; beyond, its gap is `far`."""
 
-    def obstacle(x):
-        there = x[0] < 0.6
-        normal = np.where(there, np.array([[0.0], [1.0]]), np.nan if np.isinf(far) else [[0], [1]])
+    def gap_and_normal(x):
+        # no normal where there is no obstacle
+        there = x[0] < 0.5 + 1e-9
+        normal = np.array([0.0 * x[0], np.where(there | (far < np.inf), 1.0, np.nan)])
         return np.where(there, x[1], far), normal
 
-    return obstacle
+    return gap_and_normal
 
 
 def test_infinite_gap_means_no_obstacle():
-    contact = matched(ledge(np.inf), gap=0.25)
+    contact = matched(punch(np.inf), gap=0.25)
     right = contact.coordinates[:, 0] > 0.6
     np.testing.assert_array_equal(np.isinf(contact.gap), right)
     np.testing.assert_array_equal(contact.normal, np.tile([0.0, -1.0], (3, 1)))
@@ -132,22 +133,10 @@ def test_infinite_gap_means_no_obstacle():
     assert (summary["smallest_gap"], summary["largest_gap"]) == (0.0, 0.0)
 
 
-def test_nodes_without_obstacle_bear_no_force():
-    scene = pressed_block(MPI.COMM_SELF, "quadrilateral", 4)
-    forces = []
-    for far in (np.inf, 0.5):
-        contact = RigidObstacle(scene.facet_tags, GROUND, ledge(far))
-        problem = scene.problem(contacts=[contact])
-        problem.solve()
-        forces.append(problem.results[0].normal_force)
-    np.testing.assert_allclose(forces[0], forces[1], rtol=1e-8, atol=1e-10 * forces[1].max())
-    assert np.count_nonzero(forces[0]) == 3
-
-
 @pytest.mark.parametrize("gap", [np.nan, -np.inf])
 def test_gap_that_is_no_number(gap):
     with pytest.raises(InputError, match=r"NaN or -inf.*at 1 points.*\(1, 0\).*\+inf"):
-        matched(ledge(gap))
+        matched(punch(gap))
 
 
 def test_pairing_of_an_obstacle():
@@ -180,16 +169,6 @@ def pressed_on_a_punch(obstacle, tag, comm=MPI.COMM_SELF, **arguments):
     return problem, problem.solve()
 
 
-def punch(far):
-    def gap_and_normal(x):
-        # no normal where there is no obstacle
-        there = x[0] < 0.5 + 1e-9
-        normal = np.array([0.0 * x[0], np.where(there | (far < np.inf), 1.0, np.nan)])
-        return np.where(there, x[1], far), normal
-
-    return gap_and_normal
-
-
 @pytest.mark.parametrize(
     ("far", "method"),
     [(np.inf, "active_set"), (1e10, "smalbe"), (1e300, "active_set"), (1.0, "smalbe")],
@@ -205,8 +184,13 @@ def test_far_away_is_no_obstacle(far, method):
     assert problem.report.converged
 
 
-def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
-    problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
+@pytest.fixture(scope="module")
+def on_punch():
+    return pressed_on_a_punch(punch(np.inf), WHOLE)[0]
+
+
+def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path, on_punch):
+    problem = on_punch
     (entry,) = [c.pairing for c in problem.report.contacts]
     assert (entry["pairs"], entry["unmatched"]) == (5, 4)
     assert (entry["smallest_gap"], entry["largest_gap"]) == (0.0, 0.0)
@@ -216,10 +200,9 @@ def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path):
     assert "Infinity" not in (tmp_path / "report.json").read_text()
 
 
-def test_files_of_an_obstacle_that_is_not_everywhere(tmp_path):
+def test_files_of_an_obstacle_that_is_not_everywhere(tmp_path, on_punch):
     """NaN in the gap where there is none: ParaView draws nothing there; never infinity."""
-    problem, _ = pressed_on_a_punch(punch(np.inf), WHOLE)
-    fields = contact_fields(problem.space, problem.results)
+    fields = contact_fields(on_punch.space, on_punch.results)
     gap = fields[2]
     x = gap.function_space.tabulate_dof_coordinates()
     covered = np.isclose(x[:, 1], 0.0) & (x[:, 0] < 0.5 + 1e-9)

@@ -157,24 +157,35 @@ def test_mesh_is_written_once_however_many_fields(cell, tmp_path):
     assert len(pieces) == 1
 
 
-def refused(path, fields, message):
+def renamed(field, name):
+    field.name = name
+    return field
+
+
+def on_another_mesh():
+    mesh = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
+    return fem.Function(space(mesh, "DG", 0), name="other")
+
+
+def cubic(field):
+    return fem.Function(space(field.function_space.mesh, "Lagrange", 3), name="cubic")
+
+
+@pytest.mark.parametrize(
+    ("message", "file", "change"),
+    [
+        ("does not end in .pvd", "a.vtk", lambda u, p, s: [u]),
+        ("no fields", "a.pvd", lambda u, p, s: []),
+        ("no name", "a.pvd", lambda u, p, s: [u, renamed(p, "")]),
+        ("2 fields have the name 'body'", "a.pvd", lambda u, p, s: [renamed(u, "body"), s]),
+        ("'cubic' .* is neither", "a.pvd", lambda u, p, s: [u, cubic(u)]),
+        ("'other' is on another mesh", "a.pvd", lambda u, p, s: [u, on_another_mesh()]),
+    ],
+)
+def test_fields_that_are_refused(fields, tmp_path, message, file, change):
     with pytest.raises(InputError, match=message):
-        write_fields(path, fields)
-    assert list(path.parent.iterdir()) == []
-
-
-def test_two_fields_of_one_name_are_refused(fields, tmp_path):
-    fields[2].name = fields[0].name
-    refused(tmp_path / "a.pvd", fields, "2 fields have the name 'displacement'")
-
-
-def test_field_without_a_name_is_refused(fields, tmp_path):
-    fields[1].name = ""
-    refused(tmp_path / "a.pvd", fields, "no name")
-
-
-def test_other_suffix_is_refused(fields, tmp_path):
-    refused(tmp_path / "a.vtk", fields, "does not end in .pvd")
+        write_fields(tmp_path / file, change(*fields))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_fields_of_degree_2_raise_the_others(fields, tmp_path):
@@ -195,22 +206,6 @@ def test_fields_of_degree_2_raise_the_others(fields, tmp_path):
     assert largest.keys() == expected.keys()
     for name, found in largest.items():
         assert found == pytest.approx(expected[name], rel=1e-12)
-
-
-def test_field_of_degree_3_is_refused(fields, tmp_path):
-    mesh = fields[0].function_space.mesh
-    fields.append(fem.Function(space(mesh, "Lagrange", 3), name="cubic"))
-    refused(tmp_path / "a.pvd", fields, "'cubic' .* is neither")
-
-
-def test_field_on_another_mesh_is_refused(fields, tmp_path):
-    other = dolfinx.mesh.create_unit_cube(MPI.COMM_SELF, 1, 1, 1)
-    fields.append(fem.Function(space(other, "DG", 0), name="other"))
-    refused(tmp_path / "a.pvd", fields, "'other' is on another mesh")
-
-
-def test_nothing_to_write_is_refused(tmp_path):
-    refused(tmp_path / "a.pvd", [], "no fields")
 
 
 def test_single_field_is_written_as_a_list_of_one(fields, tmp_path):
@@ -280,26 +275,6 @@ def test_folder_that_is_a_file_is_an_error(fields, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(OSError, match="file"):
         write_fields(tmp_path / "file" / "a.pvd", fields)
-
-
-def test_fields_may_be_used_in_forms():
-    scene = pressed_block(MPI.COMM_SELF, "quadrilateral")
-    problem = scene.problem()
-    problem.solve()
-    mesh = scene.mesh
-    stress = von_mises(mesh, fem.Constant(mesh, np.diag([3.0, 0.0, 0.0])))
-    pressure, force, gap, opening = contact_fields(scene.V, problem.results)
-    for field in (gap, opening):
-        field.x.array[:] = np.nan_to_num(field.x.array)
-    for field in (stress, pressure, force[1], gap, opening):
-        assert np.isfinite(fem.assemble_scalar(fem.form(field * ufl.ds(domain=mesh))))
-    assert [w.name for w in (stress, pressure, force, gap, opening)] == [
-        "von_mises_stress",
-        "contact_pressure",
-        "contact_force",
-        "initial_gap",
-        "opening",
-    ]
 
 
 @pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 from mpi4py import MPI
 
@@ -87,7 +85,6 @@ def test_concentric_rings_pair_along_the_radius(arguments):
 
 def test_direction_finds_the_near_side_of_a_master_all_around():
     """All four sides of the lower square are master: its bottom is on the same lines."""
-    V, tags = strips(gap=0.1)
     marks = [(MASTER, lambda x: np.ones(x.shape[1], dtype=bool), 1), (SLAVE, at(1, 1.1), 2)]
     cell_tags = boxes(
         MPI.COMM_SELF, [Box((0, 0), (1, 1), (4, 2)), Box((0, 1.1), (1, 2.1), (4, 2))], "triangle"
@@ -169,35 +166,6 @@ def test_tolerance_is_relative_to_the_local_facets():
     assert sorted(np.round(pairing.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
     assert pairing.summary["unmatched"] == 2
     assert pairing.summary["largest_relative_distance"] == pytest.approx(0.08)
-
-
-@pytest.fixture(scope="module")
-def gmsh_beams(tmp_path_factory):
-    """The demo's beams with few unstructured tetrahedra, alike on the contact faces."""
-    pytest.importorskip("gmsh")
-    path = Path(__file__).parents[4] / "meshes" / "two_beams.py"
-    spec = importlib.util.spec_from_file_location("two_beams_mesh", path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    file = tmp_path_factory.mktemp("mesh") / "beams.msh"
-    module.two_beams(file, "tetrahedron", 4)
-    beams = read_msh(file, MPI.COMM_SELF)
-    names = beams.names
-    return displacement_space(beams.mesh), beams.facet_tags, names
-
-
-@pytest.mark.parametrize(
-    "way",
-    [None, Along((0, 0, 1)), Mapped(lambda x: x)],
-    ids=["nearest", "direction", "mapping"],
-)
-def test_unstructured_faces_that_are_alike(gmsh_beams, way):
-    V, tags, names = gmsh_beams
-    pair = ContactPair(tags, names["contact_upper"], names["contact_lower"], partners=way)
-    x, partner, pairing = partners(V, pair)
-    np.testing.assert_allclose(partner, x, atol=1e-13)
-    assert pairing.summary["unmatched"] == 0
-    assert pairing.area.sum() == pytest.approx(1.0, rel=1e-12)
 
 
 def test_surfaces_that_nobody_meshed_alike():
