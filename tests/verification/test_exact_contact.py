@@ -42,6 +42,13 @@ def block_over_bump(moves=(0.25, -0.03), n=16, obstacle=BUMP, geometry=GEOMETRY)
     return scene.problem(geometry=geometry, options=OPTIONS)
 
 
+@pytest.fixture(scope="module")
+def over_bump():
+    """Return the solved problem of the block over the disc, and its displacement."""
+    problem = block_over_bump()
+    return problem, problem.solve()
+
+
 def distance_to_bump(problem, uh):
     """Return the distances of the deformed slave nodes to the disc, from the displacement alone."""
     contact = problem.results[0]
@@ -49,9 +56,8 @@ def distance_to_bump(problem, uh):
     return np.linalg.norm(x - np.array(BUMP.centre[:2]), axis=1) - BUMP.radius
 
 
-def test_deformed_nodes_are_on_the_obstacle_where_they_press():
-    problem = block_over_bump()
-    uh = problem.solve()
+def test_deformed_nodes_are_on_the_obstacle_where_they_press(over_bump):
+    problem, uh = over_bump
     distance, pressing = distance_to_bump(problem, uh), problem.results[0].active
     assert pressing.any() and not pressing.all()
     assert np.abs(distance[pressing]).max() <= 1e-7 * 0.3
@@ -65,9 +71,8 @@ def test_linearised_conditions_leave_an_error():
     assert np.abs(distance[problem.results[0].active]).max() > 1e-3
 
 
-def test_forces_are_along_the_deformed_normals():
-    problem = block_over_bump()
-    uh = problem.solve()
+def test_forces_are_along_the_deformed_normals(over_bump):
+    problem, uh = over_bump
     contact = problem.results[0]
     x = contact.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[contact.nodes]
     inward = np.array(BUMP.centre[:2]) - x
@@ -92,9 +97,8 @@ def test_seconds_of_each_pass_and_of_all():
         assert ("partition" in seconds) == (step == 0)
 
 
-def test_passes_converge_and_reuse_what_stays():
-    problem = block_over_bump()
-    problem.solve()
+def test_passes_converge_and_reuse_what_stays(over_bump):
+    problem, _ = over_bump
     passes = problem.report.passes
     assert passes[-1].error <= GEOMETRY.tolerance
     assert 2 <= len(passes) <= 8
@@ -133,13 +137,13 @@ def moved(problem, *moves):
     return problem
 
 
-def test_pushed_in_steps():
+def test_pushed_in_steps(over_bump):
     """The way does not matter, and the last geometry is nearer than the undeformed one."""
     steps = block_over_bump((0.2, -0.03))
     steps.solve()
     uh = moved(steps, 0.25, -0.03).solve()
-    at_once = block_over_bump()
-    np.testing.assert_allclose(uh.x.array, at_once.solve().x.array, atol=SAME)
+    at_once, expected = over_bump
+    np.testing.assert_allclose(uh.x.array, expected.x.array, atol=SAME)
     assert len(steps.report.passes) < len(at_once.report.passes)
 
 

@@ -127,7 +127,7 @@ def test_seconds_and_products_are_those_of_the_step():
     assert problem.report.products["norm"] > 0
     problem.solve()
     report = problem.report
-    assert report.products["norm"] == 0
+    assert report.products["norm"] == 0 and report.products["total"] <= 3
     assert "partition" not in report.seconds and "compilation" not in report.seconds
     assert "factors" in report.reused
 

@@ -35,6 +35,7 @@ def meshed(dim, elements):
     return of_script("pile_of_cylinders", dim, dim, elements)
 
 
+@lru_cache(maxsize=None)
 def solved(dim, elements, young=YOUNG):
     """Return the solved problem."""
     bodies = meshed(dim, elements)

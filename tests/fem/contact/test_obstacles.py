@@ -171,13 +171,18 @@ def pressed_on_a_punch(obstacle, tag, comm=MPI.COMM_SELF, **arguments):
 
 @pytest.mark.parametrize(
     ("far", "method"),
-    [(np.inf, "active_set"), (1e10, "smalbe"), (1e300, "active_set"), (1.0, "smalbe")],
+    [
+        *((far, method) for far in (np.inf, 1e10) for method in ("active_set", "smalbe")),
+        (1e300, "active_set"),
+        (1.0, "smalbe"),
+    ],
 )
 def test_far_away_is_no_obstacle(far, method):
     options = {"rtol": 1e-8, "method": method}
     exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, options=options)
     problem, uh = pressed_on_a_punch(punch(far), WHOLE, options=options)
     force = exact.report.contacts[0].normal_force
+    assert problem.report.reactions[0].force[1] == pytest.approx(-force, rel=1e-7)
     assert force > 0.5e-5 * 2.1e11 / 2
     np.testing.assert_allclose(normal_forces(problem), force, rtol=1e-7)
     np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-7 * 1e-5)

@@ -51,14 +51,10 @@ def closed_box(request):
 
 
 def test_distance_to_a_box(closed_box):
+    """Also of points on it, and of more than are taken at once."""
     surface, gdim = closed_box
-    x = somewhere(gdim)
+    x = np.concatenate([somewhere(gdim, k=5000), box(gdim)[0]])
     np.testing.assert_allclose(surface.distance(x).signed, box_distance(x), atol=1e-14)
-
-
-def test_distance_is_zero_on_the_box(closed_box):
-    surface, gdim = closed_box
-    assert np.abs(surface.distance(box(gdim)[0]).signed).max() < 1e-15
 
 
 def test_normal_is_the_gradient_of_the_distance(closed_box):
@@ -78,49 +74,30 @@ def test_normals_on_faces_and_corners(closed_box):
     np.testing.assert_allclose(normal, expected, atol=1e-14)
 
 
-def test_line_meets_the_face_ahead(closed_box):
-    surface, gdim = closed_box
-    x = np.zeros((1, gdim))
-    x[0, -1] = 1.0
-    direction = np.zeros((1, gdim))
-    direction[0, 0], direction[0, -1] = 0.5, -np.sqrt(0.75)
-    gap, signed = surface.gap_along(x, direction)
-    height = 1.0 - HALF[gdim - 1]
-    assert (gap[0], signed[0]) == pytest.approx((height / np.sqrt(0.75), height))
-
-
-def test_line_goes_back_to_the_face_it_came_through(closed_box):
-    surface, gdim = closed_box
-    x = np.zeros((1, gdim))
-    x[0, -1] = HALF[gdim - 1] - 0.01
-    down = -np.eye(gdim)[-1:]
-    assert surface.gap_along(x, down)[0] == pytest.approx(-0.01)
-
-
-def test_face_that_does_not_face_the_line_is_not_met(closed_box):
-    """The line leaves the box."""
-    surface, gdim = closed_box
-    x, up = np.zeros((1, gdim)), np.eye(gdim)[-1:]
-    x[0, -1] = 0.3
-    gap, signed = surface.gap_along(x, up)
-    assert gap == 2.0 * signed
-    assert signed == pytest.approx(0.3 - HALF[gdim - 1])
-
-
-def test_gap_along_a_grazing_line_is_twice_the_distance(closed_box):
+@pytest.mark.parametrize(
+    ("across", "over", "angle", "gap"),
+    [
+        # from far above to the face ahead
+        (None, 0.7, np.pi / 6, lambda over: over / np.sqrt(0.75)),
+        # from inside back to the face that it came through
+        (None, -0.01, 0.0, lambda over: over),
+        # from inside out of the box: no face that faces the line is met
+        (None, -0.1, np.pi, lambda over: 2.0 * over),
+        # grazing: twice the distance
+        (None, 0.01, np.pi / 2 - 0.1, lambda over: 2.0 * over),
+        # just beside a corner: the plane before it
+        (HALF[0] - 0.01, 0.1, 0.2, lambda over: over / np.cos(0.2)),
+    ],
+    ids=["ahead", "back", "away", "grazing", "corner"],
+)
+def test_gap_along_a_line(closed_box, across, over, angle, gap):
+    """From a point over the upper face, downwards at an angle to the normal."""
     surface, gdim = closed_box
     x, direction = np.zeros((1, gdim)), np.zeros((1, gdim))
-    x[0, -1] = HALF[gdim - 1] + 0.01
-    direction[0, 0], direction[0, -1] = np.cos(0.1), -np.sin(0.1)
-    assert surface.gap_along(x, direction)[0] == pytest.approx(0.02)
-
-
-def test_line_that_just_misses_a_corner_meets_the_plane_before_it(closed_box):
-    surface, gdim = closed_box
-    x, direction = np.zeros((1, gdim)), np.zeros((1, gdim))
-    x[0, 0], x[0, -1] = HALF[0] - 0.01, HALF[gdim - 1] + 0.1
-    direction[0, 0], direction[0, -1] = np.sin(0.2), -np.cos(0.2)
-    assert surface.gap_along(x, direction)[0] == pytest.approx(0.1 / np.cos(0.2))
+    x[0, 0], x[0, -1] = across or 0.0, HALF[gdim - 1] + over
+    direction[0, 0], direction[0, -1] = np.sin(angle), -np.cos(angle)
+    found, signed = surface.gap_along(x, direction)
+    assert (found[0], signed[0]) == pytest.approx((gap(over), over))
 
 
 def test_no_points(closed_box):
@@ -128,12 +105,6 @@ def test_no_points(closed_box):
     none = np.zeros((0, gdim))
     assert surface.distance(none).signed.shape == (0,)
     assert [part.shape for part in surface.gap_along(none, none)] == [(0,), (0,)]
-
-
-def test_many_points_are_taken_in_blocks(closed_box):
-    surface, gdim = closed_box
-    x = somewhere(gdim, k=5000)
-    np.testing.assert_allclose(surface.distance(x).signed, box_distance(x), atol=1e-14)
 
 
 def distance_to_triangle(corners, x):
