@@ -21,7 +21,7 @@ This demo illustrates how to
 
 Run it by `python demos/beam_on_beam.py`, or on several processes by
 `mpirun -n 2 python demos/beam_on_beam.py`; it draws pictures into `results/`. A travel of the
-clamp in mm, such as 30, may be given. All units are SI, forces are per metre of depth.
+clamp in mm, such as 9, may be given. All units are SI, forces are per metre of depth.
 """
 
 import sys

@@ -16,9 +16,11 @@ This demo illustrates how to
 - take the mass away from the contact, and what happens otherwise.
 
 Run it by `python demos/impact_of_bars.py`, or on several processes by
-`mpirun -n 2 python demos/impact_of_bars.py`; it draws pictures into `results/`. All units are SI.
+`mpirun -n 2 python demos/impact_of_bars.py`; it draws pictures into `results/`. A number of
+elements along a bar other than 30 may be given. All units are SI.
 """
 
+import sys
 from pathlib import Path
 
 from mpi4py import MPI
@@ -38,7 +40,8 @@ comm = MPI.COMM_WORLD
 #
 # Bars of steel, 1 m long, with Poisson's ratio zero: the waves are those of one dimension.
 
-n, L, E, rho, v = 30, 1.0, 2.1e11, 7850.0, 1.0
+n = int(sys.argv[1]) if len(sys.argv) > 1 else 30
+L, E, rho, v = 1.0, 2.1e11, 7850.0, 1.0
 c = (E / rho) ** 0.5
 h = L / n
 bars = [Box((-L, 0), (0, h), (n, 1)), Box((0, 0), (L, h), (n, 1))]

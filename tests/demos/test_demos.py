@@ -140,10 +140,11 @@ def test_load_steps(demo):
 
 
 @pytest.mark.once
+@also_short("20")
 def test_impact_of_bars(demo):
     """Time, pressure and velocities by the waves of one dimension; energy is kept, or made."""
     c, L = demo["c"], demo["L"]
-    assert demo["ends_at"] == pytest.approx(2 * L / c, rel=0.01)
+    assert demo["ends_at"] == pytest.approx(2 * L / c, abs=demo["dt"])
     assert demo["plateau"] == pytest.approx(demo["rho"] * c * demo["v"] / 2, rel=0.001)
     np.testing.assert_allclose(demo["velocities"], [0.0, demo["v"]], atol=0.01)
     np.testing.assert_allclose(demo["energy"], demo["kinetic"], rtol=0.005)
@@ -163,7 +164,7 @@ def test_finer_meshes(demo):
 
 
 @pytest.mark.once
-@also_short("12")
+@also_short("5", "12")
 def test_sliding_block(demo):
     """The force is antisymmetric, its work that of lifting the block, and zero in the end."""
     H, top, largest = demo["H"], demo["top"], np.abs(demo["H"]).max()
@@ -348,7 +349,7 @@ def test_snap_fit(demo):
 
 
 @pytest.mark.once
-@also_short("30")
+@also_short("9")
 def test_beam_on_beam(demo):
     """Beam theory for small deflections; the energy is the work of the clamp."""
     assert demo["force"][1] == pytest.approx(demo["linear"][1], rel=0.005)
