@@ -15,7 +15,6 @@ from scenes import CLAMPED, ROLLER, SIDE_X
 
 import ufl
 from dolfinx import fem
-from dolfinx.mesh import create_interval
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.displacement import fill_displacement, prescribed_values, space_of_forms
@@ -29,32 +28,9 @@ def beams():
     return scenes.two_beams(COMM, "quadrilateral", 3)
 
 
-def test_space_is_that_of_the_forms():
-    scene = beams()
-    assert space_of_forms(scene.a, scene.L) == scene.V
-
-
-def test_cells_of_one_dimension_are_refused():
-    domain = create_interval(COMM, 4, [0.0, 1.0])
-    V = displacement_space(domain)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    with pytest.raises(InputError, match="cells of the type interval; supported are triangle"):
-        space_of_forms(ufl.inner(u, v) * ufl.dx, fem.Constant(domain, 1.0) * v[0] * ufl.dx)
-
-
 def forms_on(V):
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     return ufl.inner(u, v) * ufl.dx, fem.Constant(V.mesh, 1.0) * v[0] * ufl.dx
-
-
-def test_degree_2_is_taken():
-    V = displacement_space(beams().mesh, 2)
-    assert space_of_forms(*forms_on(V)) == V
-
-
-def test_degree_3_is_refused():
-    with pytest.raises(InputError, match="of degree 3; Lagrange elements of degree 1 or 2"):
-        space_of_forms(*forms_on(displacement_space(beams().mesh, 3)))
 
 
 def test_curved_cells_need_displacements_of_degree_2(tmp_path):
@@ -84,10 +60,6 @@ def test_condition_on_the_space_prescribes_all_components():
     scene = beams()
     found = prescribed_at(scene, [scenes.fixed(scene.V, scene.facet_tags, CLAMPED, None)])
     assert len(found) == 2 * 4
-
-
-def test_no_conditions_prescribe_nothing():
-    assert prescribed_values(beams().V, []).values.size == 0
 
 
 def test_empty_condition_is_told():

@@ -52,11 +52,6 @@ def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(ratio):
             assert found.products["total"] <= 1.3 * max(products), (upper, exchanged)
 
 
-def test_bad_roles_are_a_warning():
-    with pytest.warns(UserWarning, match="E / h"):
-        report(10, 14, 100.0)
-
-
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("elements", [(26, 30), (30, 60)])
 def test_contact_up_to_the_edge_that_is_clamped(elements, degree):

@@ -26,11 +26,6 @@ from fenics_tfeti.io import tag_facets
 by_cell = pytest.mark.parametrize("cell", CELLS)
 
 
-def test_crack_is_refused():
-    with pytest.raises(InputError, match=r"2 pairs of nodes at the same place .*at \(2, 0\)"):
-        check_arrays("quadrilateral", *slit())
-
-
 @by_cell
 def test_crack_through_cells_of_all_shapes_is_refused(cell):
     """Two blocks glued at a part of a face: the rest of it is a crack."""

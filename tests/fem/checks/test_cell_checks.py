@@ -79,13 +79,6 @@ def test_concave_cell_is_named(cell):
         check_arrays(cell, points, cells)
 
 
-@pytest.mark.parametrize("cell", ["quadrilateral", "hexahedron"])
-def test_order_of_vertices_of_gmsh_and_vtk_is_not_that_of_dolfinx(cell):
-    points, cells = block(cell, 2)
-    with pytest.raises(InputError, match="twisted .* order of dolfinx"):
-        check_arrays(cell, points, cells[:, [0, 1, 3, 2, 4, 5, 7, 6][: cells.shape[1]]])
-
-
 @pytest.mark.parametrize("cell", ["triangle", "tetrahedron"])
 def test_simplex_turned_inside_out_is_found(cell):
     points, cells = block(cell)

@@ -42,14 +42,6 @@ def wavy(x, *y):
 
 
 @every_cell
-def test_without_displacement_all_is_as_matched(cell):
-    matched, result, _, _ = blocks(cell).deformed()
-    np.testing.assert_allclose(result.normal, matched.normal, atol=1e-14)
-    np.testing.assert_allclose(result.pairing.gap, matched.gap, atol=1e-14)
-    assert not result.penetration.any()
-
-
-@every_cell
 def test_normals_of_warped_facets_are_those_of_the_match(cell):
     """The same integral, once by UFL on a bent mesh and once on the deformed facets."""
     straight, bent = blocks(cell), blocks(cell)

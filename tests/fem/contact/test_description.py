@@ -62,7 +62,6 @@ def test_names():
         (PAIR, {"normal": (0.0, 0.0)}, "joint: the normal is .* no direction"),
         (PAIR, {"normal": 1.0}, "joint: the normal is 1.0: two or three finite numbers"),
         (OBSTACLE, {"slave": True}, "RigidObstacle: the tag of the slave is True"),
-        (OBSTACLE, {"obstacle": 0.0}, "RigidObstacle: the obstacle is a float; .* Plane"),
         (OBSTACLE, {"displacement": (1.0, 0.0)}, "RigidObstacle: .* has no effect without fric"),
         (TIE, {"master": SLAVE}, "TiedPair: slave and master have the same tag .*tied already"),
         (TIE, {"master": "upper"}, "TiedPair: the tag of the master"),
@@ -85,7 +84,6 @@ def test_what_is_no_bound_and_no_coefficient(value):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (((0.0, 0.0),), r"Along: the direction is \(0.0, 0.0\): it has no direction"),
         (("down",), "Along: the direction is 'down': two or three finite numbers"),
         (((0.0, 1.0), 0.0), "Along: the tolerance is 0.0; a positive number"),
     ],

@@ -89,20 +89,6 @@ def test_mesh_whose_nodes_are_all_in_cells_gives_no_warning(tmp_path, caplog):
     assert not caplog.text
 
 
-def test_cell_that_is_there_twice_is_refused(tmp_path):
-    elements = [(2, 1, (1, 2, 3)), (2, 1, (1, 3, 4)), (2, 1, (3, 1, 2))]
-    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
-    with pytest.raises(InputError, match=r"same nodes: 1 of 3, .* \(0\.666667, 0\.333333, 0\)"):
-        read_msh(path, MPI.COMM_SELF, gdim=2)
-
-
-def test_cell_with_a_node_twice_is_refused(tmp_path):
-    elements = [(3, 1, (1, 2, 3, 3))]
-    path = write_msh(tmp_path / "a.msh", SQUARE, elements)
-    with pytest.raises(InputError, match="the same node twice: 1 of 1, the first around"):
-        read_msh(path, MPI.COMM_SELF, gdim=2)
-
-
 def test_physical_points_do_no_harm(tmp_path):
     points, elements = CELLS["tetrahedron"]
     elements = [*elements, (15, 5, (1,)), (1, 6, (1, 2))]
@@ -121,56 +107,58 @@ def test_truncated_file_is_refused(cut, tmp_path):
         read_msh(path, MPI.COMM_SELF)
 
 
-def test_cells_without_groups_are_refused(tmp_path):
-    points, elements = CELLS["tetrahedron"]
-    elements = [(kind, 0, nodes) for kind, _, nodes in elements]
+BESIDE = [(7, 7, 0), (8, 8, 0)]
+MIDDLES = [(0.5, 0, 0), (1, 0.5, 0), (0.5, 1, 0), (0, 0.5, 0)]
+QUADRILATERAL, TETRAHEDRAL = CELLS["quadrilateral"], CELLS["tetrahedron"]
+REFUSED = {
+    "plane mesh": (
+        (SQUARE, [(2, 4, (1, 2, 3))], 3),
+        "in the plane pass gdim=2. .* a physical volume",
+    ),
+    "3D mesh": ((TETRAHEDRON, [(4, 4, (1, 2, 3, 4))], 2), "gdim is 2: pass gdim=3$"),
+    "no physical volume": (
+        (TETRAHEDRON, [(2, 9, (1, 2, 4))], 3),
+        "no volume cells. Give each body a physical volume",
+    ),
+    "no physical surface": (
+        (SQUARE, [(1, 9, (1, 2))], 2),
+        "no surface cells. Give each body a physical surface",
+    ),
+    "cells without groups": (
+        (TETRAHEDRAL[0], [(kind, 0, nodes) for kind, _, nodes in TETRAHEDRAL[1]], 3),
+        "no physical volume group",
+    ),
+    "a cell twice": (
+        (SQUARE, [(2, 1, (1, 2, 3)), (2, 1, (1, 3, 4)), (2, 1, (3, 1, 2))], 2),
+        r"same nodes: 1 of 3, .* \(0\.666667, 0\.333333, 0\)",
+    ),
+    "a node twice": ((SQUARE, [(3, 1, (1, 2, 3, 3))], 2), "the same node twice: 1 of 1, the first"),
+    "a facet in two groups": (
+        (TETRAHEDRAL[0], [*TETRAHEDRAL[1], (2, 10, (1, 2, 3))], 3),
+        "several physical surface groups, '[0-9]+' and '10'",
+    ),
+    **{
+        f"no facet {ends}": (
+            ([*QUADRILATERAL[0], *BESIDE], [*QUADRILATERAL[1], (1, 8, ends)], 2),
+            "1 of the 2 elements .* are not facets of cells",
+        )
+        for ends in [(1, 3), (1, 5), (5, 6)]
+    },
+    "mixed cells": (
+        ([*SQUARE, (2, 0, 0)], [(3, 1, (1, 2, 3, 4)), (2, 2, (2, 5, 3))], 2),
+        "of the types quadrilateral, triangle; supported are",
+    ),
+    "incomplete cells": (
+        ([*SQUARE, *MIDDLES], [(16, 1, tuple(range(1, 9)))], 2),
+        "of the type Quadrilateral 8; .*SecondOrderIncomplete",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_mesh_that_is_refused(tmp_path, case):
+    (points, elements, gdim), message = REFUSED[case]
     path = write_msh(tmp_path / "a.msh", points, elements)
-    with pytest.raises(InputError, match="no physical volume group"):
-        read_msh(path, MPI.COMM_SELF)
-
-
-def test_facet_in_two_groups_is_refused(tmp_path):
-    points, elements = CELLS["tetrahedron"]
-    path = write_msh(tmp_path / "a.msh", points, [*elements, (2, 10, (1, 2, 3))])
-    with pytest.raises(InputError, match="several physical surface groups, '[0-9]+' and '10'"):
-        read_msh(path, MPI.COMM_SELF)
-
-
-@pytest.mark.parametrize("ends", [(1, 3), (1, 5), (5, 6)])
-def test_tagged_element_that_is_no_facet_of_a_cell_is_refused(tmp_path, ends):
-    points, elements = CELLS["quadrilateral"]
-    points = [*points, (7, 7, 0), (8, 8, 0)]
-    path = write_msh(tmp_path / "a.msh", points, [*elements, (1, 8, ends)])
-    with pytest.raises(InputError, match="1 of the 2 elements .* are not facets of cells"):
-        read_msh(path, MPI.COMM_SELF, gdim=2)
-
-
-def test_mixed_cells_are_refused(tmp_path):
-    points = [*SQUARE, (2, 0, 0)]
-    elements = [(3, 1, (1, 2, 3, 4)), (2, 2, (2, 5, 3))]
-    with pytest.raises(InputError, match="of the types quadrilateral, triangle; supported are"):
-        read_msh(write_msh(tmp_path / "a.msh", points, elements), MPI.COMM_SELF, gdim=2)
-
-
-def test_cells_without_some_of_their_nodes_are_refused(tmp_path):
-    points = [*SQUARE, (0.5, 0, 0), (1, 0.5, 0), (0.5, 1, 0), (0, 0.5, 0)]
-    path = write_msh(tmp_path / "a.msh", points, [(16, 1, tuple(range(1, 9)))])
-    with pytest.raises(InputError, match="of the type Quadrilateral 8; .*SecondOrderIncomplete"):
-        read_msh(path, MPI.COMM_SELF, gdim=2)
-
-
-@pytest.mark.parametrize(
-    ("points", "element", "gdim", "message"),
-    [
-        (SQUARE, (2, 4, (1, 2, 3)), 3, "in the plane pass gdim=2. .* a physical volume"),
-        (TETRAHEDRON, (4, 4, (1, 2, 3, 4)), 2, "gdim is 2: pass gdim=3$"),
-        (TETRAHEDRON, (2, 9, (1, 2, 4)), 3, "no volume cells. Give each body a physical volume"),
-        (SQUARE, (1, 9, (1, 2)), 2, "no surface cells. Give each body a physical surface"),
-    ],
-    ids=["plane mesh", "3D mesh", "no physical volume", "no physical surface"],
-)
-def test_wrong_dimension_is_refused(tmp_path, points, element, gdim, message):
-    path = write_msh(tmp_path / "a.msh", points, [element])
     with pytest.raises(InputError, match=message):
         read_msh(path, MPI.COMM_SELF, gdim=gdim)
 

@@ -11,7 +11,6 @@ import dolfinx
 import ufl
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
@@ -49,23 +48,6 @@ def test_cells_of_boxes(cell):
     # All cells are affine and of one size; in a wrong vertex order the determinant would vary.
     reference_volume = {"triangle": 1 / 2, "tetrahedron": 1 / 6}.get(cell, 1)
     assert mean_square == pytest.approx((2 / cells / reference_volume) ** 2)
-
-
-@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
-def test_facets_of_both_sides_of_a_contact_match(cell):
-    pair = two_boxes(cell)
-
-    def contact(x):
-        return np.isclose(x[2], 1) & (x[0] > 1 - 1e-9) & (x[0] < 2 + 1e-9)
-
-    tags = tag_facets(pair.mesh, [(5, contact, 2), (6, contact, 1)], pair.cell_tags)
-    centres = []
-    for tag in (5, 6):
-        nodes = _compat.entity_nodes(pair.mesh, 2, tags.find(tag))
-        centre = np.round(pair.mesh.geometry.x[nodes].mean(axis=1), 9)
-        centres.append(centre[np.lexsort(centre.T)])
-    assert len(centres[0]) > 0
-    assert np.array_equal(*centres)
 
 
 def test_names_are_those_of_the_boxes():
@@ -124,7 +106,7 @@ def test_markers_can_be_a_dict():
 
 def test_tag_can_have_several_markers():
     mesh = two_boxes("triangle").mesh
-    left, right = (lambda x: np.isclose(x[0], 0)), (lambda x: np.isclose(x[0], 3))
+    right = lambda x: np.isclose(x[0], 3)  # noqa: E731
     assert len(tag_facets(mesh, [(3, left), (3, right), (3, left)]).find(3)) == 6
 
 
@@ -133,28 +115,22 @@ def test_facets_inside_a_body_are_not_tagged():
     assert len(tag_facets(mesh, {1: lambda x: x[0] > -1}).indices) == 6
 
 
-def test_tag_of_no_facet_is_refused():
-    mesh = two_boxes("triangle").mesh
-    with pytest.raises(InputError, match=r"no facet .* tags \[8\]"):
-        tag_facets(mesh, {3: lambda x: np.isclose(x[0], 0), 8: lambda x: x[0] > 99})
-
-
-def test_facet_with_two_tags_is_refused():
-    mesh = two_boxes("triangle").mesh
-    with pytest.raises(InputError, match="several tags, 3 and 8"):
-        tag_facets(mesh, {3: lambda x: np.isclose(x[0], 0), 8: lambda x: x[0] < 1.1})
-
-
-def test_body_without_cell_tags_is_refused():
-    mesh = two_boxes("triangle").mesh
-    with pytest.raises(InputError, match="pass the cell_tags"):
-        tag_facets(mesh, [(3, lambda x: np.isclose(x[0], 0), 1)])
+def left(x):
+    return np.isclose(x[0], 0)
 
 
 @pytest.mark.parametrize(
-    "marker", [lambda x: x[7], lambda x: True, lambda x: x > 0], ids=["fails", "one", "shape"]
+    ("markers", "message"),
+    [
+        ({3: left, 8: lambda x: x[0] > 99}, r"no facet .* tags \[8\]"),
+        ({3: left, 8: lambda x: x[0] < 1.1}, "several tags, 3 and 8"),
+        ([(3, left, 1)], "pass the cell_tags"),
+        ({3: lambda x: x[7]}, "marker of facet tag 3"),
+        ({3: lambda x: True}, "marker of facet tag 3"),
+        ({3: lambda x: x > 0}, "marker of facet tag 3"),
+    ],
+    ids=["none", "two", "body", "fails", "one", "shape"],
 )
-def test_marker_that_fails_is_named(marker):
-    mesh = two_boxes("triangle").mesh
-    with pytest.raises(InputError, match="marker of facet tag 3"):
-        tag_facets(mesh, {3: marker})
+def test_markers_that_are_refused(markers, message):
+    with pytest.raises(InputError, match=message):
+        tag_facets(two_boxes("triangle").mesh, markers)

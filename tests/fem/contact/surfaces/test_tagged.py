@@ -52,20 +52,6 @@ def surface_of(space, tags, tag, normal=None):
     return tagged_surface(MeshBoundary.of(space), tags, tag, "surface", normal)
 
 
-@pytest.mark.parametrize("cell", CELLS)
-def test_areas_sum_to_that_of_the_surface(cell):
-    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
-    assert surface_of(scene.V, scene.facet_tags, SLAVE).area.sum() == pytest.approx(1.0)
-
-
-@pytest.mark.parametrize("cell", CELLS)
-def test_normals_of_a_plane_face_point_out_of_the_body(cell):
-    scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)
-    surface = surface_of(scene.V, scene.facet_tags, SLAVE)
-    down = -np.eye(surface.normal.shape[1])[-1]
-    np.testing.assert_allclose(surface.normal, np.tile(down, (len(surface.normal), 1)), atol=1e-14)
-
-
 def test_area_is_that_projected_along_a_given_normal():
     V, tags = strips()
     surface = surface_of(V, tags, SLAVE, normal=(0.6, -0.8))
