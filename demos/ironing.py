@@ -22,7 +22,7 @@ This demo illustrates how to
 - check the balance of energy with friction.
 
 Run it by `python demos/ironing.py`, or on several processes by `mpirun -n 2 python
-demos/ironing.py`; it draws pictures into `results/`. A number of load steps, such as 5, may be
+demos/ironing.py`; it draws pictures into `results/`. A number of load steps, such as 4, may be
 given. All units are SI, forces are per metre of depth.
 """
 

@@ -304,12 +304,14 @@ def test_fibre_block(demo):
 
 
 @pytest.mark.once
-@also_short("5")
+@also_short("4")
 def test_ironing(demo):
     """Friction at its bound and the bulge before the die; the balance of energy."""
     ratio = demo["H"][2:] / demo["N"][2:]
     assert ((ratio > 0.3) & (ratio < 0.31)).all()
-    assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.04)
+    if len(ratio) > 1:
+        # the trapezoidal rule needs more than the step in which the die begins to slide
+        assert demo["work"] == pytest.approx(demo["friction"] + demo["gained"], rel=0.04)
 
 
 @pytest.mark.once

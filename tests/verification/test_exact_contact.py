@@ -161,8 +161,11 @@ def test_obstacle_moved():
 @pytest.mark.parametrize(
     ("slide", "upper"),
     [
-        *((0.01, upper) for upper in (12, 9)),
-        *(pytest.param(0.3, upper, marks=pytest.mark.heavy) for upper in (12, 9)),
+        (0.01, 9),
+        *(
+            pytest.param(*case, marks=pytest.mark.heavy)
+            for case in [(0.01, 12), (0.3, 12), (0.3, 9)]
+        ),
     ],
 )
 def test_bodies_that_slide_on_all_ranks(slide, upper):
