@@ -30,7 +30,7 @@ def test_uniform_compression(confined, compression, turned):
     np.testing.assert_allclose(result.force, force, atol=1e-7)
 
 
-@pytest.mark.parametrize("size", [60, 3000])
+@pytest.mark.parametrize("size", [60, pytest.param(3000, marks=pytest.mark.heavy)])
 def test_free_edges_that_lie_on_each_other(size):
     """Only the stiffness of the contact forces makes them stable, at a pressure of 0.6 E."""
     scene, force = pressed_patch(0.4, False, 30.0, newton_rtol=1e-7, subdomain_size=size)
