@@ -52,19 +52,19 @@ def solved(scene, weight, **arguments):
     return problem
 
 
-@pytest.mark.parametrize(("cell", "weight"), [("triangle", whole), ("quadrilateral", radius)])
-def test_uniform_pressure_on_the_end_of_a_cylinder(cell, weight):
-    """The stress is uniaxial and the displacement linear: exact on any mesh."""
-    pressure = pressed_cylinder(cell, weight).results[0].pressure
-    np.testing.assert_allclose(pressure, YOUNG * 1e-3, rtol=1e-9)
+@pytest.mark.parametrize(
+    ("cell", "weight", "angle"), [("triangle", whole, 2 * np.pi), ("quadrilateral", radius, 1.0)]
+)
+def test_uniform_pressure_on_the_end_of_a_cylinder(cell, weight, angle):
+    """The stress is uniaxial and the displacement linear: exact on any mesh.
 
-
-@pytest.mark.parametrize(("weight", "angle"), [(whole, 2 * np.pi), (radius, 1.0)])
-def test_forces_are_of_the_whole_body_or_per_radian(weight, angle):
-    report = pressed_cylinder("quadrilateral", weight).report
+    Forces are of the whole body, or per radian.
+    """
+    problem = pressed_cylinder(cell, weight)
+    np.testing.assert_allclose(problem.results[0].pressure, YOUNG * 1e-3, rtol=1e-9)
     exact = angle * 0.5 * 0.5**2 * YOUNG * 1e-3
-    assert [c.normal_force for c in report.contacts] == pytest.approx([exact], rel=1e-9)
-    assert report.reactions[1].force[1] == pytest.approx(-exact, rel=1e-9)
+    assert [c.normal_force for c in problem.report.contacts] == pytest.approx([exact], rel=1e-9)
+    assert problem.report.reactions[1].force[1] == pytest.approx(-exact, rel=1e-9)
 
 
 A, B, C = 0.1, 0.2, 0.3  # radii of two tubes, one in the other [m]

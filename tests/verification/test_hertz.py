@@ -20,7 +20,7 @@ from scenes import POISSON, Scene, dimension, normal_forces, plane
 
 from dolfinx import fem
 
-from fenics_tfeti import Along, Sphere
+from fenics_tfeti import Along
 
 RADIUS, YOUNG = 0.05, 2e9
 CONTACT_RADIUS = 4e-3
@@ -61,12 +61,10 @@ def effective_radius(radii: Sequence[float]) -> float:
 def pressed(
     cell: str,
     size: float,
-    obstacle: str = "plane",
     radii: tuple[float, ...] = (RADIUS,),
-    approach: float | None = None,
     upper_is_slave: bool = True,
 ) -> Solved:
-    """Press a ball or roller onto an obstacle or a second one, by a force or by a distance."""
+    """Press a ball or roller onto a plane or a second one."""
     gdim = dimension(cell)
     bodies = of_script("half_balls", gdim, cell, size, radii)
     tags, up = bodies.names, gdim - 1
@@ -74,7 +72,7 @@ def pressed(
     moduli = (YOUNG, STIFFER * YOUNG)[: len(radii)]
     reduced = 1.0 / sum((1.0 - POISSON**2) / young for young in moduli)
 
-    R = effective_radius((*radii, -2.0 * RADIUS) if obstacle == "groove" else radii)
+    R = effective_radius(radii)
     if gdim == 3:
         force = 4.0 / 3.0 * reduced * CONTACT_RADIUS**3 / R
         traction = -force / (np.pi * RADIUS**2)
@@ -82,13 +80,11 @@ def pressed(
         force = np.pi / 4.0 * reduced * CONTACT_RADIUS**2 / R
         traction = -force / (2.0 * RADIUS)
     scene = Scene.of(bodies, young=dict(enumerate(moduli, start=1)))
-    scene.L = scene.constant(traction if approach is None else 0.0) * scene.v[up] * scene.ds(flat)
+    scene.L = scene.constant(traction) * scene.v[up] * scene.ds(flat)
     for component, name in enumerate(("symmetry_x", "symmetry_y")[:up]):
         scene.fix(tags[name], component)
     if len(radii) == 2:
         scene.fix(tags["flat_lower"], up)
-    if approach is not None:
-        scene.fix(flat, up, -approach)
 
     axis = np.eye(gdim)[up]
     if len(radii) == 2:
@@ -96,9 +92,6 @@ def pressed(
         outward = -axis if upper_is_slave else axis
         roles = (tags[name] for name in names)
         scene.add_pair(*roles, partners=Along(outward), normal=outward)
-    elif obstacle == "groove":
-        rigid = Sphere(centre=2.0 * RADIUS * axis, radius=2.0 * RADIUS, hollow=True)
-        scene.add_obstacle(tags["contact"], rigid)
     else:
         scene.add_obstacle(tags["contact"], plane(up, gdim))
     options = {"rtol": 1e-6, "preconditioner": "lumped", "subdomain_size": 6000}
@@ -152,19 +145,6 @@ def test_pressed_by_a_force(cell):
     r = np.linalg.norm(contact.coordinates[:, : contact.normal.shape[1] - 1], axis=1)
     assert r[contact.active].max() <= fine.a + FINE
     assert r[~contact.active].min() >= fine.a - FINE
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral", "tetrahedron"])
-def test_pressed_by_a_distance(cell):
-    """The same formulas hold, with whatever force it takes."""
-    solved = pressed(cell, FINE, approach=CONTACT_RADIUS**2 / RADIUS)
-    assert_hertz(solved, *LIMITS[cell])
-
-
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
-def test_roller_in_a_groove(cell):
-    solved = pressed(cell, FINE, obstacle="groove")
-    assert_hertz(solved, 0.01, 0.02)
 
 
 # name: cell, size of elements, radii
