@@ -100,6 +100,14 @@ def test_gap_along_a_line(closed_box, across, over, angle, gap):
     assert (found[0], signed[0]) == pytest.approx((gap(over), over))
 
 
+def test_line_goes_back_through_another_face_than_the_closest(closed_box):
+    surface, gdim = closed_box
+    x = np.zeros((1, gdim))
+    x[0, 0], x[0, -1] = HALF[0] - 0.03, HALF[gdim - 1] - 0.05
+    gap, signed = surface.gap_along(x, -np.eye(gdim)[-1:])
+    assert (gap[0], signed[0]) == pytest.approx((-0.05, -0.03))
+
+
 def test_no_points(closed_box):
     surface, gdim = closed_box
     none = np.zeros((0, gdim))
