@@ -14,6 +14,12 @@ against them. It is taken where
   deflation can remove negative directions of them;
 - the exact tangent of the glued bodies is unstable. Of subdomains with elastic supports R is then
   what these leave free.
+
+A body that only contact holds may slide nearly freely. What resists or drives that are contact
+forces that turn with the surfaces, whose stiffness is not in K: without it, increments would slide
+as far as the linearised surfaces allow, and Newton's method alternates. So increments of such a
+body have the energy s |u|^2 / 2 besides, s being as large as the stiffness of its stress against
+rotations. In equilibrium they vanish, and it changes nothing.
 """
 
 from __future__ import annotations
@@ -75,24 +81,25 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     Returns
     -------
     TornSystem
-        The system with other stiffness matrices and kernels. A matrix without stress is left as it
+        The system with other stiffness matrices and kernels; those of bodies that only contact
+        holds against rotations resist all motions a little. A matrix without stress is left as it
         is, the same object.
     """
-    centres = centres_and_sizes(system)
-    if kind == "auto":
-        exact = _held_bodies(system, *centres[:2])
-    else:
-        exact = np.full(len(centres[0]), kind == "exact")
+    centres, sizes, _ = centres_and_sizes(system)
+    held = _held_bodies(system, centres, sizes)
+    exact = held if kind == "auto" else np.full_like(held, kind == "exact")
     subdomains = list(system.subdomains)
     with raise_collectively(system.comm):
         for congruent in find_congruence_classes(subdomains):
             # congruent ones of different bodies
             members = congruent.members
             bodies = np.array([subdomains[i].body for i in members])
-            for some in (members[exact[bodies]], members[~exact[bodies]]):
+            for some in (members[held[bodies]], members[~held[bodies]]):
                 if some.size:
                     first = subdomains[some[0]]
                     chosen = _tangent(first, bool(exact[first.body]), kind)
+                    if not (held[first.body] or kind == "exact"):
+                        chosen = _damped(chosen, first.stiffness, sizes[first.body])
                     unchanged = chosen.stiffness is first.stiffness
                     for i in some:
                         K = subdomains[i].stiffness if unchanged else chosen.stiffness
@@ -128,6 +135,22 @@ def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
     return replace(stressed, stiffness=_projected(K, x, R, FIXING_NODES)[0])
+
+
+def _damped(chosen: Subdomain, K: sp.csr_matrix, size: float) -> Subdomain:
+    """Return a subdomain with the energy s |u|^2 / 2; K is its exact tangent.
+
+    Rotations are those that move points at the distance of the body's size by 1. Without stress, or
+    on elastic supports, s is zero.
+    """
+    x, gdim = chosen.coordinates_in_frame, chosen.coordinates.shape[1]
+    R = raw_modes((x - x.mean(axis=0)) / size, np.zeros(gdim))
+    energies = np.abs(np.sum(R * (K @ R), axis=0))
+    none = rounding(np.abs(K.data).max(initial=0.0), ENERGY) * len(x)
+    if chosen.is_rigid or energies[:gdim].max() > none or energies[gdim:].max() <= none:
+        return chosen
+    s = energies[gdim:].max() / len(x)
+    return replace(chosen, stiffness=(chosen.stiffness + s * sp.identity(len(R))).tocsr())
 
 
 def projected_tangent(stiffness: sp.csr_matrix, coordinates: Vector) -> sp.csr_matrix:

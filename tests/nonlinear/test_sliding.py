@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scipy.integrate
-from finite_strains import SLIDER, TOP, beam, clamped, ironing, ring
+from finite_strains import SLIDER, TOP, beam, cell_space, clamped, ironing, ring
 
 import ufl
 from dolfinx import fem
@@ -175,3 +175,59 @@ class TestRingOfRoundSection:
 
     def test_force_is_that_of_the_half(self):
         assert self.force(False) == pytest.approx(self.force(True), rel=1e-6)
+
+
+def crown_between_plates(is_held):
+    """Return the force of a lid on a body with a crown, and the Newton steps."""
+    parts = [
+        Box((-1, 0), (1, 1), (8, 4)),
+        Box((-2, -0.5), (2, 0), (10, 1)),
+        Box((-2, 1.5), (2, 2), (10, 1)),
+    ]
+    tagged = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
+    mesh = tagged.mesh
+    surfaces = [
+        (1, lambda x: np.isclose(x[1], 0), 1),
+        (2, lambda x: np.isclose(x[1], 1), 1),
+        (3, lambda x: np.isclose(x[1], 0), 2),
+        (4, lambda x: np.isclose(x[1], 1.5), 3),
+        (5, lambda x: np.isclose(x[1], -0.5), 2),
+        (6, lambda x: np.isclose(x[1], 2), 3),
+    ]
+    tags = tag_facets(mesh, surfaces, tagged.cell_tags)
+    x, y = mesh.geometry.x[:, 0], mesh.geometry.x[:, 1]
+    mesh.geometry.x[:, 1] = np.where((y > 0) & (y < 1.1), y * (1.5 - 0.5 * x**2), y)
+    V = displacement_space(mesh)
+    u, motion = fem.Function(V), fem.Function(V)
+    E = fem.Function(cell_space(mesh))
+    E.x.array[:] = 300.0
+    E.x.array[tagged.cell_tags.find(1)] = 1.0
+    moved = fem.locate_dofs_topological(V, 1, tags.find(6))
+    bcs = [clamped(V, tags.find(5)), fem.dirichletbc(motion, moved)]
+    if is_held:
+        middle = fem.locate_dofs_geometrical(
+            (V.sub(0), V.sub(0).collapse()[0]),
+            lambda x: np.isclose(x[0], 0) & (x[1] > 0.1) & (x[1] < 1.4),
+        )[0]
+        bcs.append(fem.dirichletbc(0.0, middle, V.sub(0)))
+    problem = NonlinearContactProblem(
+        ufl.derivative(neo_hookean(E, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V)),
+        u,
+        bcs=bcs,
+        contacts=[ContactPair(tags, slave=1, master=3), ContactPair(tags, slave=2, master=4)],
+    )
+    steps = 0
+    for depth in (0.05, 0.2):
+        motion.x.array.reshape(-1, 2)[:, 1] = -depth
+        problem.solve()
+        problem.advance()
+        steps += len(problem.report.newton)
+    return problem.results[1].force[1], steps
+
+
+@pytest.mark.ranks
+def test_body_that_only_contact_holds():
+    """It may slide freely between two plates: increments would take it far to either side."""
+    (free, steps), (held, _) = crown_between_plates(False), crown_between_plates(True)
+    assert free == pytest.approx(held, rel=1e-4)
+    assert steps <= 20
