@@ -223,7 +223,10 @@ static double *pack(double *l, const double *x, size_t columns, size_t rows)
     for (size_t i = j + wide, block; i < rows; i += block) {
       block = LESS(rows - i, LANES);
       for (size_t c = j; c < j + wide; c++, l += block)
-        memcpy(l, x + c * rows + i, block * sizeof(double));
+        if (block == LANES)
+          *(Lanes *)l = *(const Lanes *)(x + c * rows + i);
+        else
+          memcpy(l, x + c * rows + i, block * sizeof(double));
     }
   }
   return l;
