@@ -80,7 +80,9 @@ def _cut(
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
     if partitioner == "bisection" or (partitioner == "auto" and cells.size >= many_cells):
-        label = bisect(graph, points[cell_nodes].mean(axis=1), count)
+        # by corners: faster than sums of short rows
+        midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
+        label = bisect(graph, midpoints, count)
         # planes that cut parts in two, of a coiled body, also cut it lengthwise
         if partitioner == "bisection" or label.max() < count:
             return label

@@ -35,28 +35,29 @@ class BlockPattern:
     @staticmethod
     def of(table: Indices, nodes: int, size: int) -> BlockPattern:
         """Return the pattern of cells with nodes in a table (m, v), and blocks of a size."""
-        shape = (*table.shape, table.shape[1])
+        vertices = table.shape[1]
         # NumPy sorts small integers in linear time
         table = table.astype(np.min_scalar_type(nodes))
-        row, column = (
-            np.broadcast_to(x, shape).ravel() for x in (table[:, :, None], table[:, None])
-        )
+        row, column = np.repeat(table.ravel(), vertices), np.tile(table, vertices).ravel()
         order = np.argsort(column, kind="stable")
         order = order[np.argsort(row[order], kind="stable")]
         row, column = row[order], column[order]
         new = np.append(True, (np.diff(row) != 0) | (np.diff(column) != 0))
         position = np.empty(order.size, dtype=np.int32)
         position[order] = np.cumsum(new) - 1
-        row, column = (x[new].astype(np.int32) for x in (row, column))
-        count = np.bincount(row, minlength=nodes)
-        begin = np.append(0, np.cumsum(count))
+        blocks = np.flatnonzero(new)
+        row, column = (x[blocks].astype(np.int32) for x in (row, column))
+        count = np.bincount(row, minlength=nodes).astype(np.int32)
+        begin = np.cumsum(count, dtype=np.int32) - count
         # the rows of a block are as far from each other as its row of blocks is long
-        first = (size - 1) * begin[row] + np.arange(row.size)
-        rows = (first[:, None] + count[row, None] * np.arange(size)).astype(np.int32)
-        indices = np.empty((rows.size, size), dtype=np.int32)
-        indices[rows] = (size * column[:, None] + np.arange(size, dtype=np.int32))[:, None]
+        first = (size - 1) * begin[row] + np.arange(row.size, dtype=np.int32)
+        # short rows of arrays are filled column by column, which is faster
+        rows = np.stack([first + i * count[row] for i in range(size)], axis=1)
+        columns = np.empty(rows.size, dtype=np.int32)
+        columns[rows] = size * column[:, None]
+        indices = np.stack([columns + i for i in range(size)], axis=1)
         indptr = np.append(0, np.cumsum(np.repeat(size * count, size))).astype(np.int32)
-        return BlockPattern(indices.ravel(), indptr, position.reshape(shape), rows)
+        return BlockPattern(indices.ravel(), indptr, position.reshape(*table.shape, vertices), rows)
 
     def adder(self, cells: slice) -> sp.csc_matrix:
         """Return the matrix that adds rows (m, v, b, v) of blocks of some cells to the data."""
