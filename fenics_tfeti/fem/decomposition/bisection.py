@@ -67,40 +67,43 @@ def _smoothed(graph: sp.csr_matrix, label: Numbers) -> Numbers:
     """
     neighbours = _neighbours(graph)
     # behind the cells is what stands for missing neighbours
-    label, cells = np.append(label, -1), len(neighbours)
+    label, cells = np.append(label, -1), neighbours.shape[1]
     random_order = np.append(np.random.default_rng(0).permutation(cells), 0)
     watched = np.arange(cells)
     for step in range(_PASSES):
-        labels = label[neighbours[watched]]
-        at_interface = ((labels >= 0) & (labels != label[watched][:, None])).any(axis=1)
-        watched, labels = watched[at_interface], labels[at_interface]
+        labels = label[neighbours.take(watched, axis=1)]
+        at_interface = ((labels >= 0) & (labels != label[watched])).any(axis=0)
+        watched, labels = watched[at_interface], labels[:, at_interface]
         gain, best = _best_move(label[watched], labels)
         moving = gain >= (1 if step % 2 == 0 else 0)
         urgency = np.zeros(cells + 1, dtype=np.int64)
         urgency[watched[moving]] = gain[moving] * cells + random_order[watched[moving]] + 1
-        moving &= urgency[watched] > urgency[neighbours[watched]].max(axis=1)
+        moving &= urgency[watched] > urgency[neighbours[:, watched]].max(axis=0)
         label[watched[moving]] = best[moving]
-        watched = np.union1d(watched, neighbours[watched[moving]].ravel())
+        watched = np.union1d(watched, neighbours[:, watched[moving]].ravel())
         watched = watched[watched < cells]
     return label[:-1]
 
 
 def _best_move(label: Numbers, labels: Numbers) -> tuple[Numbers, Numbers]:
-    """Return by how much moving each cell reduces the interface, in facets, and where to."""
-    outside = (labels >= 0) & (labels != label[:, None])
-    count = np.sum((labels[:, :, None] == labels[:, None, :]) & outside[:, :, None], axis=1)
-    row, best = np.arange(label.size), np.argmax(count, axis=1)
-    gain: Numbers = count[row, best] - np.sum(labels == label[:, None], axis=1)
-    return gain, labels[row, best]
+    """Return by how much moving each cell reduces the interface, in facets, and where to.
+
+    The labels (k, m) are those of the neighbours of m cells.
+    """
+    outside = (labels >= 0) & (labels != label)
+    count = np.sum((labels[:, None] == labels) & outside[:, None], axis=0)
+    best, cell = np.argmax(count, axis=0), np.arange(label.size)
+    gain: Numbers = count[best, cell] - np.sum(labels == label, axis=0)
+    return gain, labels[best, cell]
 
 
 def _neighbours(graph: sp.csr_matrix) -> Indices:
-    """Return the neighbours of each cell in rows, filled with the number of cells."""
+    """Return the neighbours (k, m) of m cells in columns, filled with the number of cells."""
     count, degree = graph.shape[0], np.diff(graph.indptr)
-    rows = np.full((count, int(degree.max(initial=1))), count, dtype=np.int32)
+    neighbours = np.full((int(degree.max(initial=1)), count), count, dtype=np.int32)
     cell = np.repeat(np.arange(count), degree)
-    rows[cell, np.arange(graph.nnz) - graph.indptr[cell]] = graph.indices
-    return rows
+    neighbours[np.arange(graph.nnz) - graph.indptr[cell], cell] = graph.indices
+    return neighbours
 
 
 def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:

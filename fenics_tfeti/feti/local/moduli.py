@@ -26,15 +26,14 @@ def bulk_over_shear(stiffness: sp.csr_matrix, coordinates: Vector) -> float:
     nodes, d = coordinates.shape
     x = coordinates - coordinates.mean(axis=0)
     pairs = list(permutations(range(d), 2))
-    fields = np.zeros((1 + len(pairs), nodes, d))
+    fields = np.zeros((1 + len(pairs) + d, nodes, d))
     fields[0] = x
-    for field, (i, j) in zip(fields[1:], pairs, strict=True):
+    for field, (i, j) in zip(fields[1:], pairs, strict=False):
         field[:, i] = x[:, j]
+    fields[-d:] = np.eye(d)[:, None]
     u = fields.reshape(len(fields), -1).T
     energies = np.sum(u * (stiffness @ u), axis=0)
-    dilatation, shear = float(energies[0]), float(energies[1:].min())
-    translations = np.tile(np.eye(d), (nodes, 1))
-    springs = np.sum(translations * (stiffness @ translations), axis=0)
+    dilatation, shear, springs = float(energies[0]), float(energies[1:-d].min()), energies[-d:]
     # a bound of what springs add to the dilatation
     ground = float(springs @ np.abs(x).max(axis=0) ** 2)
     return dilatation / d**2 / shear if shear > 0.0 and ground <= dilatation / 2 else 1.0
