@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 
 from mpi4py import MPI
 
+import numpy as np
+
 
 @dataclass
 class Timer:
@@ -37,7 +39,9 @@ class Timer:
 
     def slowest(self, comm: MPI.Intracomm) -> dict[str, float]:
         """Return the slowest rank's time of each phase, and their ``total`` [s]. Collective."""
-        seconds = {name: comm.allreduce(time, MPI.MAX) for name, time in self.seconds.items()}
+        slowest = np.array(list(self.seconds.values()), dtype=float)
+        comm.Allreduce(MPI.IN_PLACE, slowest, MPI.MAX)
+        seconds = dict(zip(self.seconds, slowest.tolist(), strict=True))
         return {**seconds, "total": sum(seconds.values())}
 
     def lap(self, comm: MPI.Intracomm) -> float:

@@ -148,22 +148,44 @@ def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
     return centres, np.where(sizes > 0.0, sizes, 1.0), counts
 
 
-def describe_body_motion(
+def describe_body_motions(
+    system: TornSystem,
+    kernels: Sequence[Vector],
+    own_motions: Sequence[Vector],
+    either_way: bool = False,
+    negligible: float = NEGLIGIBLE,
+) -> list[list[str]]:
+    """Name the bodies that take part in each of some motions, and how each of them moves.
+
+    Returns "body: motion" for each body, on all ranks; collective if there are motions. A motion is
+    R xi, of which each rank gives its part of xi. With either_way the opposite motion is meant as
+    well; parts up to negligible, relative to the motion, are left out.
+    """
+    if not own_motions:
+        return []
+    places = centres_and_sizes(system)
+    own_parts = [
+        _own_parts(system, kernels, motion, either_way, negligible, places)
+        for motion in own_motions
+    ]
+    of_ranks = system.comm.allgather(own_parts)
+    return [_joined(system, parts, negligible) for parts in zip(*of_ranks, strict=True)]
+
+
+def _own_parts(
     system: TornSystem,
     kernels: Sequence[Vector],
     own_motion: Vector,
-    either_way: bool = False,
-    negligible: float = NEGLIGIBLE,
-    places: tuple[Vector, Vector, Vector] | None = None,
-) -> list[str]:
-    """Name the bodies that take part in a motion, and how each of them moves.
+    either_way: bool,
+    negligible: float,
+    places: tuple[Vector, Vector, Vector],
+) -> dict[int, tuple[float, str]]:
+    """Return how far, and in words how, each body moves on this rank.
 
-    Returns "body: motion" for each body, on all ranks. The motion is R xi; own_motion is this
-    rank's part of xi. With either_way the opposite motion is meant as well; parts up to negligible,
-    relative to the motion, are left out. For many motions, pass `centres_and_sizes` as places.
+    The places are those of `centres_and_sizes`.
     """
+    centres, sizes, _ = places
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
-    centres, sizes, _ = places or centres_and_sizes(system)
     parts: dict[int, tuple[float, str]] = {}
     moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
     for i in np.unique(moving):
@@ -177,8 +199,15 @@ def describe_body_motion(
                 subdomain.coordinates, displacement, either_way, negligible, about
             )
             parts[subdomain.body] = size, words
+    return parts
+
+
+def _joined(
+    system: TornSystem, parts: Sequence[dict[int, tuple[float, str]]], negligible: float
+) -> list[str]:
+    """Return the motion of each body in the words of the rank on which it moves farthest."""
     merged: dict[int, tuple[float, str]] = {}
-    for part in system.comm.allgather(parts):
+    for part in parts:
         for body, value in part.items():
             merged[body] = max(value, merged.get(body, (0.0, "")))
     largest = max((size for size, _ in merged.values()), default=0.0)

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import UnresistedMotion
-from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
@@ -83,7 +83,7 @@ def raise_unresisted(
     `friction`, what limits it, times `factor` would balance the load.
     """
     own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
-    motions = describe_body_motion(system, coarse_space.kernels, own_motion)
+    (motions,) = describe_body_motions(system, coarse_space.kernels, [own_motion])
     if np.isfinite(factor):
         raise UnresistedMotion(
             "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "

@@ -19,7 +19,7 @@ import scipy
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes, describe_body_motion
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.factors.cholesky import describe_package
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -317,6 +317,7 @@ def _unknowns(
         "friction": np.count_nonzero(sites),
         "sticking": np.count_nonzero(sites & candidate.recovered.sticking),
     }
+    totals = comm.allreduce(np.array(list(counts.values()), dtype=np.int64))
     return {
         "primal": system.gdim * constraints.nodes,
         "dual": constraints.layout.size,
@@ -324,7 +325,7 @@ def _unknowns(
         "redundant": constraints.redundant,
         "dependent": constraints.dependent,
         "infinite_gaps": constraints.infinite_gaps,
-        **{name: comm.allreduce(int(count)) for name, count in counts.items()},
+        **dict(zip(counts, totals.tolist(), strict=True)),
     }
 
 
@@ -335,12 +336,10 @@ def _described(
     negligible: float = NEGLIGIBLE,
 ) -> list[str]:
     """Name the bodies that take part in each of some motions (k, coarse). Collective."""
-    places, described = centres_and_sizes(system), []
-    for motion in motions:
-        local = setup.projector.coarse_space.own_part(motion.toarray().ravel())
-        bodies = describe_body_motion(system, setup.local.kernels, local, True, negligible, places)
-        described.append("; ".join(bodies))
-    return described
+    own_part = setup.projector.coarse_space.own_part
+    local = [own_part(motion.toarray().ravel()) for motion in motions]
+    described = describe_body_motions(system, setup.local.kernels, local, True, negligible)
+    return ["; ".join(bodies) for bodies in described]
 
 
 def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:

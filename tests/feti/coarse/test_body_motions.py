@@ -11,7 +11,7 @@ from dense import DenseSystem
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
-from fenics_tfeti.feti.coarse.body_motions import describe_body_motion
+from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 
 pytestmark = pytest.mark.once
 
@@ -75,7 +75,7 @@ def test_motion_is_named_by_body(moving, names, either_way):
     parts = SOLVER.system.subdomains
     up = np.concatenate([np.tile([0.0, 0.0, moving[s.body]], s.nodes.size) for s in parts])
     motion = SYSTEM.R.T @ up
-    found = describe_body_motion(SOLVER.system, KERNELS, motion, either_way=either_way)
+    (found,) = describe_body_motions(SOLVER.system, KERNELS, [motion], either_way=either_way)
     assert found == names
 
 
@@ -90,5 +90,5 @@ def test_a_rotation_is_named_by_the_axis_next_to_the_whole_body():
             for s in SOLVER.system.subdomains
         ]
     )
-    (words,) = describe_body_motion(SOLVER.system, KERNELS, SYSTEM.R.T @ turned)
+    ((words,),) = describe_body_motions(SOLVER.system, KERNELS, [SYSTEM.R.T @ turned])
     assert words.startswith("lower: rotation about the axis (0, 1, 0) through (")
