@@ -15,7 +15,7 @@ from scenes import GROUND, MASTER, SLAVE, Scene, at, dimension
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.search.contact_search import match_contacts
@@ -73,7 +73,7 @@ class Blocks(Scene):
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
         pair, uh = replace(self.pair, **arguments), self.displacement(lower, upper)
         pairing = self.pairing(pair)
-        result = deformed_contact(pair, pairing, uh)
+        result = deformed_contacts([(pair, pairing)], uh)[0]
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
         return pairing, result, u[pairing.slave], u[result.pairing.master]
 

@@ -12,7 +12,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contact
+from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.conditions.friction import (
     NodalFriction,
     SlipOrigin,
@@ -83,13 +83,13 @@ class FoundContact:
         gap = self.pairing.gap
         return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
 
-    def measured(self, uh: Function, bodies: RigidBodies) -> DeformedContact:
-        """Measure normals, gaps and penetration in the deformed state. Collective."""
+    def contact_at(self, bodies: RigidBodies) -> Contact:
+        """Return the contact, with an obstacle on a rigid body where the body is."""
         contact = self.contact
         if isinstance(contact, RigidObstacle) and contact.body is not None:
             frame = bodies.frame_of(contact.body)
             contact = replace(contact, obstacle=frame.obstacle(contact.obstacle))
-        return deformed_contact(contact, self.pairing, uh)
+        return contact
 
 
 @dataclass(frozen=True)
@@ -268,10 +268,11 @@ class ContactSet:
         near those of the `last` set for the same contacts, by default this one. Friction is still
         that at the conditions before, see `with_friction`.
         """
-        bodies, measured, contacts = bodies or self.bodies, [], []
-        for found, earlier in zip(self.contacts, (last or self).contacts, strict=True):
-            new = replace(found, pairing=earlier.pairing).measured(uh, bodies)
-            measured.append(new)
+        bodies, contacts = bodies or self.bodies, []
+        pairings = (last or self).pairings
+        at_bodies = [found.contact_at(bodies) for found in self.contacts]
+        measured = deformed_contacts(list(zip(at_bodies, pairings, strict=True)), uh)
+        for found, new in zip(self.contacts, measured, strict=True):
             found = replace(found, pairing=new.pairing)
             if found.body is not None:
                 found = self._on_body(found, bodies.frame_of(found.body), uh, new.distance)

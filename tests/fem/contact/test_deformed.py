@@ -15,7 +15,7 @@ from dolfinx import fem
 
 from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.deformed import deformed_contact
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 
 COMM = MPI.COMM_WORLD
 
@@ -227,7 +227,7 @@ def at_obstacle(scene, surface, motion):
     gdim = scene.mesh.geometry.dim
     before = RigidObstacle(scene.facet_tags, GROUND, Plane([0.0] * gdim, [*[0] * (gdim - 1), 1]))
     matched = scene.pairing(before)
-    result = deformed_contact(contact, matched, uh)
+    result = deformed_contacts([(contact, matched)], uh)[0]
     u = uh.x.array.reshape(-1, gdim)[matched.slave]
     return matched, result, matched.coordinates[:, :gdim] + u, u
 
@@ -332,7 +332,7 @@ def deformed(cell, comm, kind):
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
     pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
-    return pairing.coordinates, deformed_contact(contact, pairing, uh)
+    return pairing.coordinates, deformed_contacts([(contact, pairing)], uh)[0]
 
 
 @pytest.mark.ranks(2)
@@ -363,7 +363,7 @@ def test_result_is_that_of_one_rank(cell, kind):
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
     pairing, uh = scene.pairing(scene.pair), scene.displacement()
-    result = deformed_contact(scene.pair, pairing, uh)
+    result = deformed_contacts([(scene.pair, pairing)], uh)[0]
     assert np.isfinite(uh.x.array).all()
     np.testing.assert_allclose(result.pairing.gap, 0.1, atol=1e-14)
 
@@ -375,4 +375,4 @@ def test_error_of_one_rank_is_raised_on_all():
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contact(scene.pair, pairing, uh)
+        deformed_contacts([(scene.pair, pairing)], uh)[0]

@@ -75,7 +75,8 @@ def test_gaps_in_the_deformed_state(cell, degree):
     space, contact, before = matched(cell, degree, tilted(d))
     u = fem.Function(space)
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
-    normal, gap, distance, _ = deformed_gaps(contact, "ground", before.surface, before.terms, u)
+    slave = before.surface.gathered(u)
+    normal, gap, distance, _ = deformed_gaps(COMM, contact, "ground", slave, before.terms)
     np.testing.assert_allclose(normal, before.normal)
     np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
     np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
@@ -90,7 +91,8 @@ def conditions(comm, cell, degree):
     found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
-    normal, gap, distance, _ = deformed_gaps(contact, "ground", found.surface, found.terms, u)
+    slave = found.surface.gathered(u)
+    normal, gap, distance, _ = deformed_gaps(comm, contact, "ground", slave, found.terms)
     columns = (found.coordinates, found.normal, found.gap, found.area, normal, gap, distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]

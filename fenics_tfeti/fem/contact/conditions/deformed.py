@@ -7,6 +7,7 @@ between their facets, and nodes that slid get new partners.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +23,8 @@ from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair,
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -42,35 +45,57 @@ class DeformedContact:
     slip: Vector | None = None
 
 
-def deformed_contact(
-    contact: Contact, pairing: ContactPairing, displacement: Function
-) -> DeformedContact:
+def deformed_contacts(
+    contacts: Sequence[tuple[Contact, ContactPairing]], displacement: Function
+) -> list[DeformedContact]:
     """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
     function, unless the user gave it. The gap to a master is along it, see
     `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
-    with raise_collectively(pairing.surface.comm):
+    with raise_collectively(displacement.function_space.mesh.comm):
         if not np.isfinite(owned_values(displacement)).all():
             raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
+    needed = [_gathered_surfaces(*of_contact) for of_contact in contacts]
+    gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces], displacement))
+    return [
+        _deformed(contact, pairing, [next(gathered) for _ in surfaces], displacement)
+        for (contact, pairing), surfaces in zip(contacts, needed, strict=True)
+    ]
+
+
+def _gathered_surfaces(contact: Contact, pairing: ContactPairing) -> list[Surface]:
+    """Return the surfaces that all ranks need the whole of."""
     if isinstance(contact, RigidObstacle):
-        surface, terms, name = pairing.surface, pairing.terms, pairing.name
-        normal, gap, distance, _ = deformed_gaps(contact, name, surface, terms, displacement)
+        return [pairing.surface]
+    if pairing.is_mortar:
+        return []
+    assert pairing.master_surface is not None
+    return [pairing.surface, pairing.master_surface]
+
+
+def _deformed(
+    contact: Contact,
+    pairing: ContactPairing,
+    surfaces: Sequence[SurfaceFacets],
+    displacement: Function,
+) -> DeformedContact:
+    """Measure a contact with the surfaces of `_gathered_surfaces`, deformed. Collective."""
+    if isinstance(contact, RigidObstacle):
+        comm, (slave,) = pairing.surface.comm, surfaces
+        normal, gap, distance, _ = deformed_gaps(comm, contact, pairing.name, slave, pairing.terms)
         new = replace(pairing, normal=normal, gap=gap)
         return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
         return _deformed_mortar(contact, pairing, displacement)
-    return _deformed_pairs(contact, pairing, displacement)
+    return _deformed_pairs(contact, pairing, *surfaces)
 
 
 def _deformed_pairs(
-    contact: ContactPair, pairing: ContactPairing, displacement: Function
+    contact: ContactPair, pairing: ContactPairing, slave: SurfaceFacets, master: SurfaceFacets
 ) -> DeformedContact:
-    assert pairing.master_surface is not None
-    slave = pairing.surface.gathered(displacement)
-    master = pairing.master_surface.gathered(displacement)
     rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
     normal = pairing.normal

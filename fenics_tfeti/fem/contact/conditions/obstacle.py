@@ -17,7 +17,8 @@ from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_OBSTACLE, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
@@ -66,7 +67,8 @@ def match_obstacle(
             gap = _mean_gap(terms, nodes.values_at(at_owners, terms.nodes))
     else:
         displacement.x.scatter_forward()
-        normal, _, gap, facing = deformed_gaps(contact, name, slave, terms, displacement)
+        whole = slave.gathered(displacement)
+        normal, _, gap, facing = deformed_gaps(comm, contact, name, whole, terms)
     of_rows, angle = slave.contact[rows], angles_between(facing, normal)
     gap = slave.without_rounding(gap, of_rows)
     summaries = pairing_summaries(
@@ -86,20 +88,19 @@ def _mean_gap(terms: Terms, gap: Vector) -> Vector:
 
 
 def deformed_gaps(
-    contact: RigidObstacle, name: str, surface: Surface, terms: Terms, displacement: Function
+    comm: MPI.Intracomm, contact: RigidObstacle, name: str, slave: SurfaceFacets, terms: Terms
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
     Returned are normals (k, gdim) into the obstacle, gaps (k,) in terms of the total displacement,
     distances (k,) from the obstacle [m], for degree 2 the means around the nodes, and the normals
-    of the surface. The ghosts of the displacement are up to date.
+    of the surface, of which the slave has the deformed facets of all ranks.
     """
-    slave = surface.gathered(displacement)
     slave.check_not_folded(name)
     nodes, inverse = np.unique(terms.nodes, return_inverse=True)
     rows = np.searchsorted(slave.nodes, nodes)
     places, normals = _padded(slave.points[rows]), slave.normal[rows]
-    nodal, outward = gap_and_normal(surface.comm, contact.obstacle, places, normals, name)
+    nodal, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
     distance = _mean_gap(terms, nodal[inverse])
     motion = terms.means(slave.displacement[rows[inverse]])
     own = np.searchsorted(nodes, terms.slave)

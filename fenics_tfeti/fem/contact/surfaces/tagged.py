@@ -255,7 +255,7 @@ class Surface:
 
     def gathered(self, displacement: Function | None = None) -> SurfaceFacets:
         """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
-        return SurfaceFacets.joined(self.comm.allgather(self.part(displacement)))
+        return gather_surfaces([self], displacement)[0]
 
     def separated(self, boundary: MeshBoundary) -> list[Surface]:
         """Return the surface of each contact, in the numbers of the mesh's boundary."""
@@ -292,6 +292,19 @@ class SurfaceNodes:
         """Leave out some nodes."""
         kept = ~np.isin(self.nodes, nodes)
         return SurfaceNodes(*(column[kept] for column in vars(self).values()))
+
+
+def gather_surfaces(
+    surfaces: Sequence[Surface], displacement: Function | None = None
+) -> list[SurfaceFacets]:
+    """Return the facets of all ranks of some surfaces, deformed as in `gathered`. Collective.
+
+    It is one message for all of them.
+    """
+    if not surfaces:
+        return []
+    of_ranks = surfaces[0].comm.allgather([surface.part(displacement) for surface in surfaces])
+    return [SurfaceFacets.joined(parts) for parts in zip(*of_ranks, strict=True)]
 
 
 def tagged_surface(

@@ -11,8 +11,8 @@ from strips import bend, matched, strips
 from dolfinx.fem import Function
 
 from fenics_tfeti import ContactPair, Exact
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
-from fenics_tfeti.fem.contact.conditions.deformed import deformed_contact
 
 TERMS = Terms(
     offsets=np.array([0, 3, 6]),
@@ -74,7 +74,7 @@ def test_deformed_surfaces():
     uh = Function(V)
     x = V.tabulate_dof_coordinates()
     uh.x.array.reshape(-1, 2)[x[:, 1] > 1.05] = [0.3, -0.04]
-    state = deformed_contact(pair, before, uh)
+    state = deformed_contacts([(pair, before)], uh)[0]
     after = state.pairing
     assert after.slave.size < before.slave.size
     # in terms of the total displacement: (u_slave - u_master)'n = 0.04 of the gap of 0.1 is used
