@@ -207,7 +207,8 @@ class TornSolver:
             )
             setup = DualSetup.build(system, options, local, projector, inverses, package)
         with phase("deflation"):
-            setup = setup.deflated(system, options, known)
+            # trial displacements are as large as the interface, and have chosen what they are for
+            setup = replace(setup.deflated(system, options, known), trials=[])
         self._deflation_solves = setup.deflation_solves
         return setup, data, ["factors"] if known else []
 

@@ -10,6 +10,7 @@ from torn import column, fixed_nodes
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.deflation.local_spectra import threshold
 from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
+from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 
 pytestmark = pytest.mark.once
 
@@ -65,11 +66,18 @@ def test_slender_subdomains(length, flexible):
     bottom = glued[0].nodes[glued[0].coordinates[:, 1] == 0.0]
     system = TornSystem(glued, fixed_nodes(bottom, [0, 1]), ContactRows.none(2), 2, ["block"])
     setup = TornSolver(system, Options(deflation="on")).setup
+    interface = setup.F.interface
+    trials = [
+        TrialDisplacements.build(K, glued[congruent.first].coordinates, unknowns)
+        for congruent, K, unknowns in zip(
+            interface.classes, setup.local.stiffness, interface.unknowns, strict=True
+        )
+    ]
     found = flexible_subdomains(
         setup.constraints,
-        setup.F.interface,
-        setup.trials,
-        setup.local.on_interface(setup.F.interface),
+        interface,
+        trials,
+        setup.local.on_interface(interface),
         np.array([threshold(2, s.nodes.size) for s in glued]),
         setup.local.unit,
     )
