@@ -10,12 +10,13 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import ContactData
-from fenics_tfeti.feti.tolerances import HARDLY_DEFORMED, UNDEFORMED, rounding
+from fenics_tfeti.feti.tolerances import FEW, HARDLY_DEFORMED, UNDEFORMED, ZERO, rounding
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -70,7 +71,7 @@ class PrimalProblem:
         beside the certificate: 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
         """
         sums = self._sums(recovered, multipliers)
-        measures = self._body_measures(sums, recovered, face)
+        measures = self._body_measures(sums, recovered, multipliers, face.coarse_space)
         groups, bodies = self._errors(measures, recovered)
         bound, norm = np.sqrt([measures.error2.sum(), measures.strain2.sum()]).tolist()
         # all strains may be rounding
@@ -201,21 +202,36 @@ class PrimalProblem:
                 sums.energy[members] = np.sum(work, axis=1)
         return sums
 
-    def _body_measures(self, sums: _Sums, recovered: Recovered, face: Projector) -> _BodyMeasures:
+    def _body_measures(
+        self, sums: _Sums, recovered: Recovered, multipliers: Vector, coarse_space: CoarseSpace
+    ) -> _BodyMeasures:
         """Return errors and scales of each body. Collective."""
-        coarse_space, load = face.coarse_space, self.data.load
         error2, strain2 = np.maximum(sums.error2, 0.0), np.maximum(sums.strain2, 0.0)
-        # where G lambda = e does not hold, there is no bound
-        size = coarse_space.coarse_load_size(load)
-        unbalanced = face.unresisted(coarse_space.coarse_load(load), size) != 0.0
-        error2[coarse_space.bodies.of_coarse[unbalanced]] = np.inf
         # the coarse problem spreads rounding errors over all bodies
         energy2 = sums.flexibility.sum() + self._energy_of_motions(recovered)
         rounding2 = float(np.finfo(float).eps ** 2 * energy2)
+        # where G lambda = e does not hold, there is no bound
+        error2[self._unbalanced(multipliers, coarse_space, rounding2)] = np.inf
         deformed = strain2 > UNDEFORMED**2 * rounding2
         equilibrium = np.sqrt(sums.residual2 / np.where(deformed, sums.force2, np.inf))
         deformation = np.where(deformed, self._deformation(recovered.strained), 0.0)
         return _BodyMeasures(error2, strain2, equilibrium, rounding2, deformed, deformation)
+
+    def _unbalanced(self, multipliers: Vector, coarse_space: CoarseSpace, rounding2: float) -> Mask:
+        """Tell on which bodies G lambda = e does not hold up to rounding. Collective.
+
+        Rounding is that of the forces, and that of the springs that close the jumps.
+        """
+        load, body = self.data.load, coarse_space.bodies.of_coarse
+        pull = self.setup.F.constraint_forces(multipliers)
+        missing = coarse_space.coarse_load(load - pull)
+        size = coarse_space.coarse_load_size(np.abs(load) + np.abs(pull))
+        bodies = self.setup.row_bodies.bodies
+        missing, size = (np.sqrt(np.bincount(body, x**2, bodies)) for x in (missing, size))
+        of_springs = FEW * np.sqrt(self.setup.local.unit * rounding2)
+        of_forces = rounding(float(np.linalg.norm(size)), FEW)
+        mask: Mask = missing > ZERO * size + of_forces + of_springs
+        return mask
 
     def _energy_of_motions(self, recovered: Recovered) -> float:
         """Return the energy of the rigid motions that close jumps, if rows were springs."""

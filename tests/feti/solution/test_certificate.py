@@ -8,6 +8,7 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg
+from friction_problems import pushed_block
 from pairwise import pairwise
 from torn import column, with_fields, with_prescribed
 
@@ -179,23 +180,40 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
     assert certificate.bodies[2].error == 0.0
 
 
+def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
+    """Return the certificate of multipliers, and of the displacements that follow from them."""
+    data, setup = solver.data, solver.setup
+    multipliers, face = balance_multipliers(
+        setup.projector.coarse_space, data.e, multipliers, data.radius
+    )
+    recovered = recover_displacement(
+        setup.F, face, data.load, data.c, multipliers, setup.local.unit
+    )
+    problem = PrimalProblem(solver.setup, solver.data, solver.system.body_names)
+    return problem.certify(recovered, multipliers, face)[0]
+
+
 def test_no_bound_where_contact_forces_do_not_balance_the_load():
     """Without them the dual value is minus infinity, however little u_t is torn."""
     solver = TornSolver(column(n=2, load=(0, 0, -1.0)))
     solution = solver.solve()
-    constraints, coarse_space = solver.setup.constraints, solver.setup.projector.coarse_space
     multipliers = solution.multipliers.copy()
-    multipliers[constraints.inequality] = 0.0
-    problem = PrimalProblem(solver.setup, solver.data, solver.system.body_names)
-    multipliers, face = balance_multipliers(
-        coarse_space, solver.data.e, multipliers, solver.data.radius
-    )
-    data = solver.data
-    unit = solver.setup.local.unit
-    recovered = recover_displacement(solver.setup.F, face, data.load, data.c, multipliers, unit)
-    certificate, _ = problem.certify(recovered, multipliers, face)
+    multipliers[solver.setup.constraints.inequality] = 0.0
+    certificate = certificate_of(solver, multipliers)
     assert [body.error for body in certificate.bodies][1] == np.inf
     assert certificate.bound == np.inf
+
+
+@pytest.mark.parametrize("part", [0.9, 1.0])
+def test_no_bound_where_friction_at_its_bounds_does_not_balance_the_load(part):
+    """Where all sites slip there is one only if their forces balance the load."""
+    n, bound = 3, 0.01
+    solver = TornSolver(pushed_block(n, (part * (n + 1) ** 2 * bound, 0.0, -1.0), bound))
+    friction, multipliers = solver.setup.constraints.friction, solver.data.feasible.copy()
+    way = np.sign(friction.at_sites(multipliers)[:, 0].sum())
+    forces = np.stack([way * solver.data.radius, np.zeros(friction.size)], axis=1)
+    certificate = certificate_of(solver, friction.with_sites(multipliers, forces))
+    assert np.isfinite(certificate.bound) == (part == 1.0)
 
 
 @pytest.mark.parametrize(("part", "relative"), [(1e-3, 0.5), (1e-6, 0.5), (1e-8, 0.5e-2), (0.0, 0)])
