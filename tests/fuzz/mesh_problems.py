@@ -810,7 +810,8 @@ def _friction(
 def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
     """Return the depths of deformed slave nodes in obstacles, of degree 1, and in masters.
 
-    Those in masters are known in the plane, with displacements of degree 1.
+    Those in masters are known in the plane, with displacements of degree 1. Mortar conditions are
+    on means: where surfaces of straight facets are bent, nodes are as deep as the facets deviate.
     """
     depths = [np.zeros(1)]
     for number, face in enumerate(problem.faces()):
@@ -829,8 +830,18 @@ def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
             # less where the master is inclined
             slope = np.abs(np.diff(across) / np.diff(along)).max()
             depth = joint.side * (slave[:, joint.axis] - level) / np.sqrt(1.0 + slope**2)
+            if problem.pairing.get(number, {}).get("partners") == "mortar":
+                curves = deformed[nodes], slave
+                depth -= max(_deviation(x[:, [1 - joint.axis, joint.axis]]) for x in curves)
             depths.append(depth[np.isfinite(depth)])
     return np.concatenate(depths)
+
+
+def _deviation(curve: Vector) -> float:
+    """Return how far the straight lines between the points (n, 2) of a curve are from it."""
+    along, across = curve.T
+    bends = np.abs(np.diff(np.diff(across) / np.diff(along)))
+    return float((bends * np.abs(along[2:] - along[:-2])).max(initial=0.0)) / 8.0
 
 
 def _condition_rows(
