@@ -49,6 +49,7 @@ from outcome import (
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.feti.dual.iterate import SolveStatus
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -56,6 +57,8 @@ Numbers = NDArray[np.int64]
 
 # part of a load that is left where forces certainly balance it, and where they certainly do not
 _BALANCED, _UNBALANCED = 1e-8, 1e-6
+# forces on all bodies, relative to those on one, whose rounding is as large as what it may leave
+_OF_OTHERS = 1e-5
 _EPS = float(np.finfo(float).eps)
 # words of the package where supports slide what friction holds in another direction, where they
 # leave the force of Coulomb's law unknown, and where its fixed point does not contract
@@ -65,11 +68,12 @@ _NO_CONTRACTION = ("the slip bounds of Coulomb's law do not converge", "no slip 
 
 def verdict_with_friction(problem: GluedProblem) -> Answer:
     """Tell whether the problem has a solution; without the solution."""
+    excess = ""
     try:
         excess = infeasibility(problem)
         motion = _unbalanced(problem)
     except Unsure as error:
-        return Answer("unsure", str(error))
+        return Answer("infeasible", excess) if excess else Answer("unsure", str(error))
     return without_a_solution(excess, motion) or Answer("solution")
 
 
@@ -77,20 +81,31 @@ def compare_with_friction(problem: GluedProblem, found: Found, rtol: float) -> O
     """Return the class of an outcome."""
     error, said = found.error, found.said
     problem, found = _without_prescribed_slips(problem, found)
-    if isinstance(error, InputError) and (
-        (_PRESCRIBED in said and _slides_one_way(problem))
-        or (_UNKNOWN in said and _has_unknown_bound(problem))
-    ):
+    if is_refused(problem, found):
         return Outcome("right error", said)
     other = without_solution(verdict_with_friction(problem), found)
     if other is not None:
         return other
     if isinstance(error, NotConverged):
-        no_contraction = any(words in said for words in _NO_CONTRACTION)
-        return Outcome("no contraction" if no_contraction else "no convergence", said)
+        if any(words in said for words in _NO_CONTRACTION):
+            return Outcome("no contraction", said)
+        if SolveStatus.AT_LIMIT.value in said and found.displacement is not None:
+            # what rounding makes is known of an iterate alone
+            outcome = _Measured(problem, found, rtol).outcome()
+            if outcome.kind == "right":
+                return replace(outcome, kind="limit of rounding", detail=f"{said}; it is right")
+        return Outcome("no convergence", said)
     if error is not None:
         return Outcome("false error", said)
     return _Measured(problem, found, rtol).outcome()
+
+
+def is_refused(problem: GluedProblem, found: Found) -> bool:
+    """Tell whether the package refuses friction for a reason that the problem has."""
+    return isinstance(found.error, InputError) and (
+        (_PRESCRIBED in found.said and _slides_one_way(problem))
+        or (_UNKNOWN in found.said and _has_unknown_bound(problem))
+    )
 
 
 def _without_prescribed_slips(problem: GluedProblem, found: Found) -> tuple[GluedProblem, Found]:
@@ -99,7 +114,7 @@ def _without_prescribed_slips(problem: GluedProblem, found: Found) -> tuple[Glue
     assert friction is not None
     moves = (abs(friction.rows) @ problem.is_free).reshape(friction.before.shape)
     slide = (moves > 1e-8).any(axis=1)
-    if found.error is None:
+    if found.displacement is not None:
         found = replace(found, tangential=found.tangential[slide])
     return replace(problem, friction=friction.at(slide)), found
 
@@ -145,15 +160,23 @@ def _unbalanced(problem: GluedProblem) -> str:
     for component in range(label.max() + 1):
         bodies = np.flatnonzero(label == component)
         N = np.hstack([motions[b] for b in bodies])
+        of_motion = np.repeat(np.arange(bodies.size), [motions[b].shape[1] for b in bodies])
         load = max(np.abs(problem.load[problem.unknowns(b)]).sum() for b in bodies)
         e = N.T @ problem.load
         if not np.linalg.norm(e) > 1e-12 * load:
             continue
-        left = _least_imbalance(problem, finite, N, e / load, load)
+        left, sizes = _least_imbalance(problem, finite, N, e / load, load)
         if left > _UNBALANCED:
             return f"{left:.1e} of the load is left on bodies {bodies.tolist()}"
         if left > _BALANCED:
             raise Unsure(f"forces balance the load up to {left:.1e}")
+        # what is rounding of the largest load may be all that acts on a body
+        largest = np.zeros(bodies.size)
+        np.maximum.at(largest, of_motion, sizes)
+        unit = (largest + _OF_OTHERS * largest.sum())[of_motion]
+        left, _ = _least_imbalance(problem, finite, N / unit, e / load / unit, load)
+        if left > _UNBALANCED:
+            raise Unsure(f"forces balance the load on a body up to {left:.1e} of what acts on it")
     return ""
 
 
@@ -170,8 +193,11 @@ def _motions(problem: GluedProblem, body: int) -> Vector:
 
 def _least_imbalance(
     problem: GluedProblem, finite: Numbers, N: Vector, e: Vector, unit: float
-) -> float:
-    """Return min |N'(C'x + S'y + free forces) - e| over forces within their bounds."""
+) -> tuple[float, Vector]:
+    """Return min |N'(C'x + S'y + free forces) - e| over forces within their bounds.
+
+    With it the sum of the magnitudes of its terms for each motion.
+    """
     friction = problem.friction
     assert friction is not None
     C, S = (problem.rows[finite] @ N).T, (friction.rows @ N).T
@@ -212,7 +238,8 @@ def _least_imbalance(
     ).solve()
     if str(solution.status) not in ("Solved", "AlmostSolved"):
         raise Unsure(f"balance of forces: {solution.status}")
-    return float(solution.obj_val)
+    sizes = np.abs(matrix) @ np.abs(np.asarray(solution.x)[:-1]) + np.abs(e)
+    return float(solution.obj_val), sizes
 
 
 # -- the conditions --------------------------------------------------------------------------------
@@ -319,7 +346,7 @@ class _Measured:
             )
             error2[b], noise2[b], imbalance[b] = _dual_norms(problem, b, K, residual, size)
         of_body = np.bincount(np.repeat(problem.body, problem.gdim), weights=size)
-        imbalance /= np.maximum(1e-9 * of_body + 1e-14 * of_body.sum(), 1e-300)
+        imbalance /= np.maximum(1e-9 * (of_body + _OF_OTHERS * of_body.sum()), 1e-300)
         slips = friction.slips(self.u)
         bounds = np.where(self._at_bound(), self._size(), self._bounds())
         finite = np.isfinite(problem.gap)

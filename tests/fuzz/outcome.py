@@ -45,7 +45,8 @@ OF_GROUP, OF_ALL, AT_REST = 1e-3, 1e-6, 1e-8
 ROUNDINGS = 1e2
 # part of the energy norms of motions and loads below which strains count as none: ten times that of
 # the package, whose norms are others
-UNDEFORMED = 1e6 * 2.0**-52
+_EPS = 2.0**-52
+UNDEFORMED = 1e6 * _EPS
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Found:
     contact_force: list[float] = field(default_factory=list)
     energy: float = 0.0
     products: int = 0
-    error: Exception | None = None  # what was raised
+    error: Exception | None = None  # what was raised, perhaps beside an iterate
     trace: str = ""
 
     @property
@@ -195,10 +196,11 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     motion, load = scale_of_rounding(problem, size.max(), K)
     floor = floor + 1e-15 * motion + 1e-12 * load
     # the package calls strains rounding up to this part of motions and loads
-    still = np.sqrt(_of_groups(answer, answer.energy)) <= ROUNDINGS * np.sqrt(
-        _of_groups(answer, answer.noise**2)
-    )
-    floor = floor + np.where(still, UNDEFORMED * (motion + load), 0.0)
+    none, strain = UNDEFORMED * (motion + load), np.sqrt(_of_groups(answer, answer.energy))
+    still = strain <= ROUNDINGS * np.sqrt(_of_groups(answer, answer.noise**2))
+    floor = floor + np.where(still, none, 0.0)
+    # and does not look at their errors, which those of motions of other bodies are
+    floor = floor + np.where(strain <= none, ROUNDINGS * _EPS * (motion + load), 0.0)
     ratio = {"error": worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
 
     # local lengths: of the bodies that a row joins, without their rigid motions

@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from cases import _solve_torn
+from cases import _solve_torn, solve_case
 from friction_oracle import compare_with_friction, verdict_with_friction
 from torn_problems import draw_torn
 
@@ -51,6 +51,18 @@ def test_solution_is_right(solved):
 def test_wrong_solution_is_wrong(solved, change):
     problem, found = solved
     assert compare_with_friction(problem, replace(found, **change(found)), RTOL).kind == "wrong"
+
+
+def test_accuracy_at_the_limit_of_rounding():
+    """The certificate is then that of rounding; the iterate is measured."""
+    outcome = solve_case("feti", 1297, MPI.COMM_SELF, MPI.COMM_SELF)
+    assert outcome.kind == "limit of rounding", outcome.detail
+
+
+def test_load_of_a_body_that_is_rounding_of_others():
+    """Forces leave 3e-9 of the largest load, which is 5e-5 of that on the body."""
+    answer = verdict_with_friction(draw_torn(92182).glued)
+    assert (answer.verdict, "of what acts on it" in answer.why) == ("unsure", True)
 
 
 def test_every_kind_of_friction_is_drawn():

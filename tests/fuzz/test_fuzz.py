@@ -39,6 +39,7 @@ NEEDS = {
     ("feti", 430): "friction on a body at rest",
     ("feti", 725): "the balance of wedged bodies",
     ("feti", 864): "the balance of large forces",
+    ("feti", 1037): "no balance of forces that are rounding of gaps",
     ("feti", 1221): "friction much smaller than the load",
     ("feti", 1760): "kinks of the least norm",
     ("feti", 5920): "directions that swing, without preconditioner",
@@ -48,6 +49,7 @@ NEEDS = {
     ("mesh", 362): "fixed directions of forces with slips out of all proportion",
     ("mesh", 2170): "passes until they fail, not until an estimate of rounding",
     ("mesh", 90058): "curvatures of slips in passes that start from multipliers",
+    ("mesh", 92123): "no certificate where friction at its bounds is out of balance",
 }
 
 
