@@ -385,17 +385,19 @@ class ProductSet:
 
     def derivative(self, x: Vector) -> sp.csr_matrix:
         """Return P'(x), (n, n), for any x; on the boundary a generalized derivative."""
-        lines = np.ones(x.size)
+        lines = np.ones(x.size, dtype=bool)
         parts: list[tuple[Vector, Numbers, Numbers]] = []
         for factor in self.factors:
             blocks = factor.derivative(x)
             indices = factor.indices.reshape(blocks.shape[:2])
-            lines[indices] = 0.0
+            lines[indices] = False
             rows, columns = np.broadcast_arrays(indices[:, :, None], indices[:, None, :])
             parts.append((blocks.ravel(), rows.ravel(), columns.ravel()))
+        free = np.flatnonzero(lines)
+        parts.append((np.ones(free.size), free, free))
         entries, row, column = (np.concatenate(part) for part in zip(*parts, strict=True))
-        curved = sp.csr_matrix((entries, (row, column)), (x.size, x.size))
-        return (curved + sp.diags(lines)).tocsr()
+        kept = entries != 0.0
+        return sp.csr_matrix((entries[kept], (row[kept], column[kept])), (x.size, x.size))
 
     def on_boundary(self, x: Vector) -> Numbers:
         """Return the components of blocks on the boundary of their factor, ascending."""

@@ -83,6 +83,8 @@ def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr
     There are many columns (n, k) in small groups, and few others (n, l), which may share rows with
     all of them. The first k of the result are as sparse as the groups allow.
     """
+    if not columns.shape[1] + others.shape[1]:
+        return columns
     data, row, column = [np.zeros(0)], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for groups in column_groups(columns):
         Q = np.linalg.qr(groups.dense)[0]

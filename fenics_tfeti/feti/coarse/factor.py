@@ -6,7 +6,7 @@ sides are sums of the ranks' parts, and a rank needs only its own subdomains' pa
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -166,18 +166,20 @@ class CoarseLayout:
         more = sp.csr_matrix((diagonal[kept], (kept - begin, kept)), shape=rows.shape)
         return (rows + more).tocsr()
 
-    def factor(self, rows: sp.csr_matrix, motions: Vector, modes: int) -> CoarseFactor:
+    def factor(
+        self, rows: sp.csr_matrix, motions_for_multigrid: Callable[[], tuple[Vector, int]]
+    ) -> CoarseFactor:
         """Factor a symmetric positive definite matrix, given the rows that this rank keeps.
 
-        The motions (own, k) of whole bodies, and the number of modes of a subdomain, 1 if it is not
-        the same for all, are for multigrid methods.
+        Multigrid methods ask for the motions (own, k) of whole bodies, and the number of modes of a
+        subdomain, 1 if it is not the same for all. Collective.
         """
         solver: AgglomeratedCholesky | MultigridSolver
         if self.solver == "redundant" or not self.size:
             whole = SparseCholesky(rows.tocsr(), self.package, quick=True) if self.size else None
             return CoarseFactor(self, whole)
         if self.solver == "iterative":
-            solver = MultigridSolver(self.comm, rows, motions, modes, self.groups)
+            solver = MultigridSolver(self.comm, rows, *motions_for_multigrid(), self.groups)
         else:
             solver = AgglomeratedCholesky(self.comm, rows, self.groups)
         return _FactorByRows(self, solver)

@@ -50,8 +50,9 @@ class GramInverse:
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
         pins = _pins(coarse_space, gram, free, coarse_space.coarse_motions(weak))
-        motions = coarse_space.motions_for_multigrid()
-        factor = layout.factor(layout.add_to_diagonal(gram, pins), *motions)
+        factor = layout.factor(
+            layout.add_to_diagonal(gram, pins), coarse_space.motions_for_multigrid
+        )
         dual_layout = coarse_space.constraints.layout
         none = np.zeros((layout.size, 0)), np.zeros((dual_layout.numbers.size, 0))
         inverse = GramInverse(dual_layout, factor, *none)

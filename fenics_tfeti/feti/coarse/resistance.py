@@ -52,7 +52,7 @@ def weak_motions(
     first, and among these the translations. A motion of one body resisted by `unresisted` or less
     counts as free. Collective.
     """
-    E = sp.block_diag([*supports, sp.csr_matrix((0, 0))], format="csr")
+    E = _block_diagonal(supports)
     if rows.shape[1] <= _LARGE and _resist_all(comm, rows, E, max(below, unresisted)):
         return np.zeros(0), sp.csc_matrix((rows.shape[1], 0))
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
@@ -140,6 +140,14 @@ def _gathered(comm: MPI.Intracomm, numbers: Numbers, rows: Vector) -> tuple[Numb
     """Return numbers with a row each of all ranks."""
     whole, *columns = concatenate_buffers(comm, numbers.astype(np.int64), *rows.T)
     return whole, np.transpose(columns)
+
+
+def _block_diagonal(blocks: Vector) -> sp.csr_matrix:
+    """Return the block diagonal matrix of blocks (k, n, n), without zeros."""
+    block, row, column = np.nonzero(blocks)
+    size, n = blocks.shape[0] * blocks.shape[1], blocks.shape[1]
+    where = (block * n + row, block * n + column)
+    return sp.csr_matrix((blocks[block, row, column], where), shape=(size, size))
 
 
 def _block_columns(vectors: Vector, chosen: NDArray[np.bool_]) -> sp.csr_matrix:

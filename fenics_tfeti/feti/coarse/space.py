@@ -126,8 +126,13 @@ class CoarseSpace:
 
     def restrict_own(self, x: Vector) -> Vector:
         """Return Gx for this rank's coarse unknowns."""
-        part: Vector = self.own.T @ x
+        part: Vector = self._own_transposed @ x
         return part
+
+    @cached_property
+    def _own_transposed(self) -> sp.csc_matrix:
+        # made once: on small problems it takes longer than the product
+        return self.own.T
 
     def prolong(self, coarse: Vector) -> Vector:
         """Return G'a for a coarse vector of all ranks; one neighbour exchange."""

@@ -50,6 +50,8 @@ def split_by_groups(
 
     Collective.
     """
+    if not free.shape[1]:
+        return []
     comm, bodies = system.comm, coarse_space.bodies
     modes, number = bodies.modes, len(bodies.supports)
     force = np.zeros(number)

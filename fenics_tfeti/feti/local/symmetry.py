@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -43,7 +44,7 @@ class SymmetryGroup:
         """Number of elements g, a power of 2."""
         return len(self.images)
 
-    @property
+    @cached_property
     def characters(self) -> Vector:
         """The characters of the elements, a (g, g) matrix: the rows belong to the characters."""
         return np.asarray(hadamard(self.order), dtype=np.float64)
