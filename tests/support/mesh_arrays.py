@@ -35,16 +35,14 @@ def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> A
     return _compat.distributed_mesh(comm, nodes, np.ascontiguousarray(x), cell)
 
 
-def of_script(
-    script: str, gdim: int, *arguments: Any, function: str = "", comm: MPI.Comm = MPI.COMM_SELF
-) -> Any:
-    """Return the bodies that Gmsh meshes on rank 0 by a function of a script in meshes/."""
+def of_script(script: str, gdim: int, *arguments: Any, comm: MPI.Comm = MPI.COMM_SELF) -> Any:
+    """Return the bodies that Gmsh meshes on rank 0 by the function of a script in meshes/."""
     pytest.importorskip("gmsh")
     handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder), "mesh.msh")
         if comm.rank == 0:
-            runpy.run_path(str(MESHES / f"{script}.py"))[function or script](path, *arguments)
+            runpy.run_path(str(MESHES / f"{script}.py"))[script](path, *arguments)
             signal.signal(signal.SIGINT, handler)
         comm.barrier()
         return read_msh(path, comm, gdim)
