@@ -52,21 +52,15 @@ def test_one_contact_without_a_list():
     assert problem.contacts == [contact]
 
 
-def test_one_condition_without_a_list():
+def test_one_condition_none_tuples_and_generators():
     scene = block()
-    problem = scene.problem(bcs=scene.bcs[0])
-    assert problem.bcs == [scene.bcs[0]]
-
-
-def test_no_conditions_and_no_contacts():
-    problem = block().problem(bcs=None, contacts=None)
-    assert (problem.bcs, problem.contacts) == ([], [])
-
-
-def test_tuples_and_generators():
-    scene = block()
-    problem = scene.problem(bcs=tuple(scene.bcs), contacts=(c for c in scene.contacts))
-    assert (len(problem.bcs), len(problem.contacts)) == (2, 1)
+    for bcs, contacts, numbers in (
+        (scene.bcs[0], scene.contacts, (1, 1)),
+        (None, None, (0, 0)),
+        (tuple(scene.bcs), (c for c in scene.contacts), (2, 1)),
+    ):
+        problem = scene.problem(bcs=bcs, contacts=contacts)
+        assert (len(problem.bcs), len(problem.contacts)) == numbers
 
 
 def test_tags_may_be_numpy_integers():

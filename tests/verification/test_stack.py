@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import POISSON, YOUNG, Scene, at
+from scenes import Scene, at
 
 import ufl
 from dolfinx import fem
@@ -18,12 +18,11 @@ from fenics_tfeti import Plane
 
 pytestmark = pytest.mark.once
 
-PRESSURE, WEIGHT = 20e6, 24e4
+PRESSURE, WEIGHT, POWER = 20e6, 24e4, 4
 CUBES = [(i, j, k) for k, j, i in itertools.product(range(3), repeat=3)]
 TOTAL = 1e8  # the scale of the loads [N]
 
 hexahedra = pytest.param("hexahedron", marks=pytest.mark.heavy)
-tetrahedra = pytest.param("tetrahedron", marks=pytest.mark.heavy)
 
 
 def body_of(cube):
@@ -51,16 +50,16 @@ def contacts_of_stack(with_walls=True):
     return pairs + walls
 
 
-def stack(cell, n, power, weight=WEIGHT, walls=True):
-    """Return the stack under the pressure p (x y / 9)^power on its top, and its own weight."""
+def stack(cell, walls=True):
+    """Return the stack under the pressure p (x y / 9)^4 on its top, and its own weight."""
     faces = itertools.product(CUBES, range(3), (0, 1))
     marks = [(face(c, i, end), at(i, c[i] + end), body_of(c)) for c, i, end in faces]
-    parts = [(cube, np.add(cube, 1), (n, n, n)) for cube in CUBES]
+    parts = [(cube, np.add(cube, 1), (2, 2, 2)) for cube in CUBES]
     scene = Scene.of_boxes(MPI.COMM_SELF, cell, parts, marks)
     x, down = ufl.SpatialCoordinate(scene.mesh), -scene.v[2]
     top = tuple(face(cube, 2, 1) for cube in CUBES if cube[2] == 2)
-    scene.L = scene.constant(weight) * down * scene.dx
-    scene.L += PRESSURE * (x[0] * x[1] / 9) ** power * down * scene.ds(top)
+    scene.L = scene.constant(WEIGHT) * down * scene.dx
+    scene.L += PRESSURE * (x[0] * x[1] / 9) ** POWER * down * scene.ds(top)
     for (cube, *master), axis, end in contacts_of_stack(walls):
         if master:
             scene.add_pair(face(cube, axis, end), face(*master, axis, 1 - end))
@@ -70,17 +69,17 @@ def stack(cell, n, power, weight=WEIGHT, walls=True):
     return scene
 
 
-def solved(cell, power=4, weight=WEIGHT):
+def solved(cell):
     """Return scene, solved problem and displacement."""
-    scene = stack(cell, 2, power, weight)
+    scene = stack(cell)
     problem = scene.problem(options={"rtol": 1e-9})
     return scene, problem, problem.solve()
 
 
-def load_of_column(i, j, power=4):
+def load_of_column(i, j):
     """Return the force on the top of a column [N]."""
     x, y = (
-        3 / (power + 1) * (((k + 1) / 3) ** (power + 1) - (k / 3) ** (power + 1)) for k in (i, j)
+        3 / (POWER + 1) * (((k + 1) / 3) ** (POWER + 1) - (k / 3) ** (POWER + 1)) for k in (i, j)
     )
     return PRESSURE * x * y
 
@@ -145,27 +144,13 @@ def test_stack(cell):
     assert 0 < np.count_nonzero(forces) < forces.size
 
 
-@pytest.mark.parametrize("cell", ["hexahedron", tetrahedra])
-def test_uniform_pressure_is_exact(cell):
-    """The walls hold the sides: s_zz = -p and s_xx = s_yy = -nu / (1 - nu) p everywhere."""
-    _, problem, uh = solved(cell, power=0, weight=0.0)
-    sideways = POISSON / (1.0 - POISSON) * PRESSURE
-    for found in problem.results:
-        expected = PRESSURE if abs(found.normal[0, 2]) > 0.5 else sideways
-        np.testing.assert_allclose(found.pressure, expected, rtol=1e-7)
-    stiffness = YOUNG * (1 - POISSON) / ((1 + POISSON) * (1 - 2 * POISSON))
-    exact = np.zeros((uh.x.array.size // 3, 3))
-    exact[:, 2] = -PRESSURE / stiffness * uh.function_space.tabulate_dof_coordinates()[:, 2]
-    np.testing.assert_allclose(uh.x.array, exact.ravel(), atol=1e-8 * np.abs(exact).max())
-
-
 @pytest.mark.parametrize("cell", ["tetrahedron", hexahedra])
 def test_free_columns(cell):
     """Where nothing holds the sides, neighbours cannot press each other, and columns part.
 
     Few rows press and many do not, so a larger penalty than usual spares outer iterations.
     """
-    problem = stack(cell, 2, 4, walls=False).problem(options={"rtol": 1e-8, "smalbe_rho": 10.0})
+    problem = stack(cell, walls=False).problem(options={"rtol": 1e-8, "smalbe_rho": 10.0})
     problem.solve()
     for found, (cubes, *_) in zip(problem.results, contacts_of_stack(False), strict=True):
         i, j, k = cubes[0]

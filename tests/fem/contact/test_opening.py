@@ -72,10 +72,12 @@ def test_field_is_that_of_the_nearest_contact():
     problem = scene.problem()
     problem.solve()
     (contact,) = problem.results
-    field = contact_fields(scene.V, [contact, contact]).opening
-    np.testing.assert_array_equal(field.x.array[contact.nodes], contact.opening)
-    elsewhere = np.setdiff1d(np.arange(field.x.array.size), contact.nodes)
-    assert np.isnan(field.x.array[elsewhere]).all()
+    fields = contact_fields(scene.V, [contact, contact])
+    elsewhere = np.setdiff1d(np.arange(fields.gap.x.array.size), contact.nodes)
+    for field, values in ((fields.opening, contact.opening), (fields.gap, contact.gap)):
+        np.testing.assert_array_equal(field.x.array[contact.nodes], values)
+        assert np.isnan(field.x.array[elsewhere]).all()
+    assert np.isfinite(fields.pressure.x.array).all()
 
 
 @pytest.mark.ranks(2)
