@@ -53,7 +53,7 @@ E, nu = 1e7, 0.3
 radius, eccentricity, foot = 0.5, 0.15, 0.25
 stiffness = 1e5  # of the spring [N/m], per metre of depth
 shortened = radius - eccentricity - foot
-largest = float(sys.argv[1]) if len(sys.argv) > 1 else 180.0
+(largest,) = map(float, sys.argv[1:] or [180])
 angles = np.radians(np.linspace(0, largest, round(largest / 15) + 1))
 
 bodies = read_msh(here.parent / "meshes" / "cam.msh", comm, gdim=2)

@@ -129,7 +129,7 @@ def elastica(height):
 #
 # Forces of half a ring are doubled.
 
-closing = 2 * R * (float(sys.argv[1]) if len(sys.argv) > 1 else 0.6)
+(closing,) = (2 * R * float(part) for part in sys.argv[1:] or [0.6])
 heights, forces, exact, newton = [], [], [], []
 for step in problem.steps(lambda s: closed.update(now=s), 0.0, closing, first=0.1 * R):
     heights.append(2 * R - step)

@@ -40,7 +40,7 @@ comm = MPI.COMM_WORLD
 #
 # Bars of steel, 1 m long, with Poisson's ratio zero: the waves are those of one dimension.
 
-n = int(sys.argv[1]) if len(sys.argv) > 1 else 30
+(n,) = map(int, sys.argv[1:] or [30])
 L, E, rho, v = 1.0, 2.1e11, 7850.0, 1.0
 c = (E / rho) ** 0.5
 h = L / n

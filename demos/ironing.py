@@ -98,8 +98,9 @@ problem = NonlinearContactProblem(
 stored = fem.form(energy)
 way, reaction, energies, dissipated, newton = [], [], [], [], []
 parts = [0, 0.1, 0.3, 0.6, 1]
+(steps,) = map(int, sys.argv[1:] or [6])
 path = [(0, -0.5 * pressed), *((part * dragged, -pressed) for part in parts)]
-for displacement in path[: int(sys.argv[1]) if len(sys.argv) > 1 else None]:
+for displacement in path[:steps]:
     motion.x.array.reshape(-1, 2)[:] = displacement
     problem.solve()
     problem.advance()

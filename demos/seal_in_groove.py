@@ -57,7 +57,7 @@ comm = MPI.COMM_WORLD
 mm = 1e-3
 w, h, crown = 5 * mm, 3 * mm, 1.5 * mm  # of the seal
 half, depth, t = 3 * mm, 3.5 * mm, 1.5 * mm  # of the groove; thickness of its walls
-squeeze = (float(sys.argv[1]) if len(sys.argv) > 1 else 1) * mm
+(squeeze,) = (float(s) * mm for s in sys.argv[1:] or [1])
 parts = [
     Box((-w / 2, 0), (w / 2, h), (14, 10), "seal"),
     Box((-half - t, -t), (half + t, 0), (14, 2), "floor"),

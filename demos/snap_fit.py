@@ -123,7 +123,7 @@ def frame():
 
 frames = [frame()]
 way, force, dissipated, newton = [0.0], [0.0], [0.0], []
-travel = float(sys.argv[1]) if len(sys.argv) > 1 else 4.2  # mm
+(travel,) = map(float, sys.argv[1:] or [4.2])  # mm
 for s in 0.1 * mm * np.arange(1, round(10 * travel) + 1):
     motion.x.array.reshape(-1, 2)[:, 0] = s
     problem.solve()

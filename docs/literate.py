@@ -24,6 +24,8 @@ RUNS = DOCS / "runs"
 # A notebook has no file name: it is run in the project's folder.
 _HERE = "here = Path(__file__).parent"
 _HERE_IN_NOTEBOOKS = 'here = Path("demos")'
+# Jupyter has arguments of its own
+_ARGUMENTS, _ARGUMENTS_IN_NOTEBOOKS = "sys.argv[1:]", "[]"
 
 
 @dataclass(frozen=True)
@@ -104,9 +106,8 @@ def notebook_of(source: str) -> str:
         if cell.kind == "text":
             made = notebooks.new_markdown_cell(cell.content)
         else:
-            made = notebooks.new_code_cell(
-                cell.content.strip("\n").replace(_HERE, _HERE_IN_NOTEBOOKS)
-            )
+            code = cell.content.strip("\n").replace(_HERE, _HERE_IN_NOTEBOOKS)
+            made = notebooks.new_code_cell(code.replace(_ARGUMENTS, _ARGUMENTS_IN_NOTEBOOKS))
         made["id"] = f"cell-{number}"  # random ones would change with each build
         cells.append(made)
     cells[0]["source"] += "\n\nStart this notebook in the project's folder, which has the meshes."

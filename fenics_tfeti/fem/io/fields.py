@@ -5,8 +5,8 @@ from __future__ import annotations
 import errno
 import os
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -26,7 +26,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
 from fenics_tfeti.fem.user_data import is_number
-from fenics_tfeti.feti.files.arrays import folder_of
+from fenics_tfeti.feti.files.arrays import errors_named, folder_of
 from fenics_tfeti.parallel import raise_collectively
 
 
@@ -124,7 +124,7 @@ def write_fields(
     functions = [raised_to_degree(function, degree) for function in functions]
     folder: Path | None = None
     with ExitStack() as folders:
-        with raise_collectively(comm), _named(path):
+        with raise_collectively(comm), errors_named("fields", path):
             if comm.rank == 0:
                 folders.enter_context(folder_of(path))
                 new = TemporaryDirectory(
@@ -132,9 +132,9 @@ def write_fields(
                 )
                 folder = Path(folders.enter_context(new))
         folder = comm.bcast(folder)
-        with raise_collectively(comm), _named(path):
+        with raise_collectively(comm), errors_named("fields", path):
             _write_piece(folder / str(comm.rank), functions)
-        with raise_collectively(comm), _named(path):
+        with raise_collectively(comm), errors_named("fields", path):
             if comm.rank == 0:
                 earlier = [] if time is None else _earlier_steps(path, time)
                 _move_files(folder, path, comm.size, earlier, time or 0.0)
@@ -171,16 +171,6 @@ def raised_to_degree(function: Function, degree: int) -> Function:
     raised = Function(space, name=function.name)
     raised.interpolate(function)
     return raised
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Name the file that was asked for in an error of the file system."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OSError(error.errno, f"fields cannot be written: {reason}", str(path)) from None
 
 
 def _earlier_steps(path: Path, time: float) -> list[tuple[float, str]]:

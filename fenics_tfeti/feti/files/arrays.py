@@ -31,18 +31,26 @@ def write_whole(path: str | os.PathLike[str], what: str, write: Callable[[Binary
     target = Path(path)
     part = target.with_name(f"{target.name}.{os.getpid()}.part")
     try:
-        with part.open("xb") as file:
-            write(file)
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(target)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OSError(error.errno, f"{what} cannot be written: {reason}", str(target)) from None
+        with errors_named(what, target):
+            with part.open("xb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(target)
     finally:
         # there only after an error, of whatever kind
         with suppress(OSError):
             part.unlink()
+
+
+@contextmanager
+def errors_named(what: str, path: Path) -> Iterator[None]:
+    """Name what was to be written, and where, in an error of the file system."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise OSError(error.errno, f"{what} cannot be written: {reason}", str(path)) from None
 
 
 @contextmanager
