@@ -7,6 +7,7 @@ The public names are loaded when they are first asked for, so that ``fenics_tfet
 from __future__ import annotations
 
 import logging
+from contextlib import suppress
 from importlib import import_module
 from typing import Any
 
@@ -52,11 +53,13 @@ __all__ = [
 ]
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())
+# it loads the MPI library that the wheels of petsc4py and dolfinx look for; `qp` does without
+with suppress(ModuleNotFoundError):
+    import_module("mpi4py.MPI")
 
 
 def __getattr__(name: str) -> Any:
     if name not in _LAZY:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     with needs_fenicsx(f"fenics_tfeti.{name}"):
-        import_module("mpi4py.MPI")  # loads the MPI library that the wheels of dolfinx look for
         return getattr(import_module(_LAZY[name]), name)

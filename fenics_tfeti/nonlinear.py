@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
-
 import numpy as np
 
 import ufl

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
-
 from petsc4py import PETSc
 
 from fenics_tfeti.errors import InputError

@@ -110,17 +110,19 @@ def bare_python(tmp_path_factory):
 
 
 @pytest.mark.parametrize(
-    ("what", "arguments"),
+    ("what", "missing", "arguments"),
     [
-        ("python -m fenics_tfeti", ("-m", "fenics_tfeti")),
-        ("fenics_tfeti.Plane", ("-c", "from fenics_tfeti import Plane")),
+        ("python -m fenics_tfeti", "mpi4py", ("-m", "fenics_tfeti")),
+        ("fenics_tfeti.Plane", "numpy", ("-c", "from fenics_tfeti import Plane")),
     ],
 )
-def test_without_fenicsx_the_error_says_how_to_install_it(bare_python, what, arguments):
+def test_without_fenicsx_the_error_says_how_to_install_it(bare_python, what, missing, arguments):
     answer = run_elsewhere(bare_python, *arguments)
     assert answer.returncode == 1
     last = answer.stderr.splitlines()[-1]
-    assert f"{what} needs FEniCSx, but the package 'mpi4py' is missing from {bare_python}" in last
+    assert (
+        f"{what} needs FEniCSx, but the package '{missing}' is missing from {bare_python}" in last
+    )
     for remedy in (". .venv/bin/activate", "apt install", "conda install", "pip install"):
         assert remedy in last
     assert ("Traceback" in answer.stderr) == (arguments[0] == "-c")

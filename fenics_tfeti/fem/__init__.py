@@ -1,4 +1,1 @@
 """From meshes, UFL forms and facet tags to a torn system; the only layer that imports dolfinx."""
-
-# first of all imports: it loads the MPI library that petsc4py and dolfinx need
-import mpi4py.MPI  # noqa: F401

@@ -10,7 +10,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Literal, Protocol
 
-from mpi4py import MPI  # first, or the wheels' petsc4py does not find the MPI library
+from mpi4py import MPI
 
 from petsc4py import PETSc
 

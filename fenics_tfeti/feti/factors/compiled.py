@@ -16,8 +16,6 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
-
 from petsc4py import PETSc
 
 SOURCE = Path(__file__).with_name("supernodal.c")

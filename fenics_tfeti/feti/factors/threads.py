@@ -7,8 +7,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
-
 from petsc4py import PETSc
 
 
