@@ -53,6 +53,8 @@ def test_results_by_number_and_name():
         results["c"]
     with pytest.raises(InputError, match="more than one contact has the name 'b'"):
         results["b"]
+    with pytest.raises(InputError, match="there is no result 3: there are 3, counted from 0"):
+        results[3]
     with pytest.raises(TypeError):
         results[0] = found[1]
 

@@ -105,13 +105,6 @@ def results_of_a_problem_that_is_not_solved(comm):
     beams(comm).problem().results[0]
 
 
-@mistake("no result 1", "from 0")
-def number_of_a_contact_that_is_not_there(comm):
-    problem = beams(comm).problem()
-    problem.solve()
-    problem.results[1]
-
-
 @mistake("no report", r"solve\(\)")
 def report_of_a_problem_that_is_not_solved(comm):
     print(beams(comm).problem().report)
