@@ -128,6 +128,7 @@ class _ActiveSet:
             self.iterate,
             tolerance=turn.tolerance,
             sign_factor=self.progress.sign_factor,
+            tension_factor=self.progress.tension_factor(problem),
             max_products=turn.max_products,
             products=turn.products,
             resume=self.resumes,
@@ -211,6 +212,7 @@ class _Progress:
     sign factor is halved.
     """
 
+    faces: int = 0
     sign_factor: float = 1.0  # tolerance of the residual on a face, relative to the violation
     smallest: float = np.inf
     best: float = np.inf  # the smallest but for small decreases
@@ -218,6 +220,7 @@ class _Progress:
 
     def update(self, violation: float, active: Mask) -> None:
         """Compare with the smallest violation so far."""
+        self.faces += 1
         if violation >= self.smallest:
             self.sign_factor *= 0.5
         self.smallest = min(violation, self.smallest)
@@ -225,6 +228,17 @@ class _Progress:
             self.best = violation
             self.sets.clear()
         self.sets.append(active)
+
+    def tension_factor(self, problem: DualProblem) -> float:
+        """Return how many times negative forces count where the signs of a face are known.
+
+        They are as flexible as ||PFP|| at worst, and what closes gaps is as stiff as a weight of 1.
+        In bodies that bend these differ much: small negative forces would end the iterations on
+        each face at once. So they count half as much from face to face, down to that of gaps with
+        the same energy. The first faces are wrong, however accurate.
+        """
+        same_energy = 1.0 / np.sqrt(max(problem.norm * problem.unit, 1.0))
+        return float(max(0.5**self.faces, same_energy))
 
     @property
     def stagnates(self) -> bool:
