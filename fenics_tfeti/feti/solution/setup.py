@@ -149,7 +149,7 @@ class DualSetup:
     choice: Choice  # of the preconditioner
     norm: ProjectedNorm  # ||PFP||
     row_bodies: RowBodies
-    trials: list[TrialDisplacements]  # of each class; empty if they are not needed
+    trials: list[TrialDisplacements]  # of each class; empty where they are needed no more
     # of each class, None where there are none; empty if they are not looked for
     stiff_modes: Sequence[StiffModes | None]
     negative: int  # negative eigenvalues of the K_i of all ranks
@@ -293,8 +293,9 @@ class DualSetup:
             # with weights of 1, F measures every stiffness
             if options.scaling == "stiffness":
                 chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
+                trials = self.trials or _trial_displacements(system, options, local, self.F)
                 flexible = flexible_subdomains(
-                    self.constraints, interface, self.trials, kernels, limits, local.unit
+                    self.constraints, interface, trials, kernels, limits, local.unit
                 )
                 # F is large in the directions of soft supports: F_c would lose as many digits
                 if not system.comm.allreduce(bool(local.unknowns.grounds.any()), MPI.LOR):
