@@ -68,8 +68,8 @@ class ContactPair(SurfacePair):
     >>> ContactPair(facet_tags, 5, 6, initial_gap=-0.05e-3)  # a shrink fit  # doctest: +SKIP
     """
 
-    _default_name = "contact {} (pair)"
-    _remedy = (
+    default_name = "contact {} (pair)"
+    remedy = (
         "Where it is one surface between two bodies that share its nodes, "
         "fenics_tfeti.io.split_interfaces makes two of it"
     )
@@ -140,7 +140,7 @@ class RigidObstacle:
     >>> RigidObstacle(facet_tags, 7, lambda x: x[2] - 0.1 * x[0] ** 2)  # doctest: +SKIP
     """
 
-    _default_name = "contact {} (obstacle)"
+    default_name = "contact {} (obstacle)"
     facet_tags: Any
     slave: int
     obstacle: Obstacle

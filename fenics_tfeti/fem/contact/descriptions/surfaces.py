@@ -14,7 +14,7 @@ class SurfacePair:
     """Two tagged surfaces."""
 
     # where both are one
-    _remedy = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
+    remedy = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
     facet_tags: Any
     slave: int
     master: int
@@ -28,13 +28,13 @@ class SurfacePair:
         if self.slave == self.master:
             raise InputError(
                 f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
-                f"of its own. {self._remedy}"
+                f"of its own. {self.remedy}"
             )
 
 
 def contact_name(contact: Any, number: int) -> str:
     """Return the name of a contact or tie, by default from its number and kind."""
-    name: str = contact.name or contact._default_name.format(number)
+    name: str = contact.name or contact.default_name.format(number)
     return name
 
 

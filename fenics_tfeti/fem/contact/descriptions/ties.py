@@ -45,8 +45,8 @@ class TiedPair(SurfacePair):
     >>> TiedPair(facet_tags, slave=5, master=6, name="glue")  # doctest: +SKIP
     """
 
-    _default_name = "tied pair {}"
-    _remedy = "Bodies that share the nodes of a surface are tied already"
+    default_name = "tied pair {}"
+    remedy = "Bodies that share the nodes of a surface are tied already"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,7 @@ class PeriodicPair(SurfacePair):
     >>> PeriodicPair(tags, slave=6, master=5, rotation=[[c, -s], [s, c]])  # doctest: +SKIP
     """
 
-    _default_name = "periodic pair {}"
+    default_name = "periodic pair {}"
     translation: ArrayLike | None = None
     rotation: ArrayLike | None = None
     jump: VectorField | None = None
@@ -137,7 +137,7 @@ class BoltPreload(SurfacePair):
     >>> problem.contacts[1] = bolt.locked(problem.results["bolt"])  # doctest: +SKIP
     """
 
-    _default_name = "bolt {}"
+    default_name = "bolt {}"
     force: float | None = None
     shortening: float | None = None
     axis: ArrayLike | None = None
@@ -185,7 +185,7 @@ class LinearRows:
         For messages and the report.
     """
 
-    _default_name = "linear rows {}"
+    default_name = "linear rows {}"
     slaves: ArrayLike
     masters: ArrayLike
     coefficients: ArrayLike

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def clip_intervals(subject: Vector, clipper: Vector) -> Vector:
@@ -21,54 +21,81 @@ def clip_polygons(subject: Vector, clipper: Vector) -> tuple[Vector, Numbers]:
     (k,), 0 for an empty one.
     """
     n = clipper.shape[1]
-    # corner by corner, each for all polygons: (m, 2, k); the last one is repeated
-    x = np.ascontiguousarray(np.moveaxis(subject, 0, -1))
+    # corner by corner, each for all polygons: (m, k)
+    x, y = np.ascontiguousarray(subject[..., 0].T), np.ascontiguousarray(subject[..., 1].T)
     row, count = np.arange(len(subject)), np.full(len(subject), len(x), dtype=np.int64)
     for edge in range(n):
         start, end = clipper[row, edge].T, clipper[row, (edge + 1) % n].T
-        x, count, kept = _cut(x, count, start, end - start)
+        x, y, count, kept = _cut(x, y, count, start, end - start)
         row = row[kept]
     corners, number = np.zeros((len(subject), len(x), 2)), np.zeros(len(subject), dtype=np.int64)
-    corners[row] = np.moveaxis(x, -1, 0)
+    corners[row, :, 0], corners[row, :, 1] = x.T, y.T
     number[row] = np.where(count < 3, 0, count)
     return corners, number
 
 
 def _cut(
-    x: Vector, count: Numbers, start: Vector, direction: Vector
-) -> tuple[Vector, Numbers, Numbers]:
+    x: Vector, y: Vector, count: Numbers, start: Vector, direction: Vector
+) -> tuple[Vector, Vector, Numbers, Mask]:
     """Keep what is on the left of lines through `start` (2, k) along `direction` (2, k).
 
-    The corners are (m, 2, k). Polygons of which nothing is left are taken out; the last result are
-    the positions of the others. Most polygons are on one side of most lines.
+    The corners are (m, k). Polygons of which nothing is left are taken out; the last result is the
+    mask of the others. Most polygons are on one side of most lines.
     """
-    slots, length = np.arange(len(x)), np.hypot(*direction)
+    length = np.hypot(*direction)
     tx, ty = direction / length
-    distance = tx * (x[:, 1] - start[1]) - ty * (x[:, 0] - start[0])
+    distance = tx * (y - start[1]) - ty * (x - start[0])
     on_edge = 1e-12 * length
     inside = distance >= -on_edge
-    kept = np.flatnonzero(inside.any(axis=0))
-    x, count = x.take(kept, axis=2), count[kept]
-    inside, distance = inside.take(kept, axis=1), distance.take(kept, axis=1)
-    divided = np.flatnonzero(~inside.all(axis=0))
-    ends, inside = x.take(divided, axis=2), inside.take(divided, axis=1)
-    distance = distance.take(divided, axis=1)
-    following = np.roll(slots, -1)
-    crosses = inside != inside[following]
-    # by signed distances, so that the point is on the edge also where lines are nearly parallel
-    part = distance / np.where(crosses, distance - distance[following], 1.0)
-    crossings = ends + part[:, None] * (ends[following] - ends)
+    inside &= np.arange(len(x))[:, None] < count
+    number = inside.sum(axis=0)
+    kept = number > 0
+    divided = np.flatnonzero(kept & (number < count))
+    old, new, part, following, new_count = _divide(
+        inside.take(divided, axis=1), distance.take(divided, axis=1), count.take(divided)
+    )
+    count = count.copy()
+    count[divided] = new_count
+    size = max(1, int(count[kept].max(initial=0)))
+    result = []
+    for values in (x, y):
+        ends = values.take(divided, axis=1).ravel()
+        start_value = ends.take(old)
+        divided_values = np.zeros(size * divided.size)
+        divided_values[new] = start_value + part * (ends.take(following) - start_value)
+        whole = np.zeros((size, kept.size))
+        whole[: len(x)] = values[:size]
+        whole[:, divided] = divided_values.reshape(size, -1)
+        result.append(whole if kept.all() else whole[:, kept])
+    return result[0], result[1], count[kept], kept
+
+
+def _divide(
+    inside: Mask, distance: Vector, count: Numbers
+) -> tuple[Numbers, Numbers, Vector, Numbers, Numbers]:
+    """Find the corners of polygons (m, k) that a line divides, of which those `inside` stay.
+
+    The results (p,) `old` and `new` are the places in arrays of corners (., k), flattened, that the
+    new corners come from and go to; each is the fraction `part` of the way from the old corner to
+    the `following` one, 0 for a corner that stays. The last are the new numbers of corners (k,).
+    """
+    k = count.size
+    slot = np.arange(len(inside))[:, None]
+    last = slot + 1 == count
+    crosses = inside != np.where(last, inside[:1], np.roll(inside, -1, axis=0))
+    crosses &= slot < count
     # each corner that is kept is followed by the crossing on the edge from it
-    corner = inside & (slots[:, None] < count[divided])
-    chosen = np.stack([corner, crosses], axis=1).reshape(2 * len(x), -1)
-    points = np.stack([ends, crossings], axis=1).reshape(2 * len(x), 2, -1)
-    count[divided] = chosen.sum(axis=0)
-    size = np.arange(count.max(initial=1))
-    order = np.argsort(~chosen, axis=0, kind="stable")
-    order = np.take_along_axis(order, np.minimum(size[:, None], count[divided] - 1), axis=0)
-    x = x[np.minimum(size, slots[-1])]
-    x[..., divided] = np.take_along_axis(points, order[:, None], axis=0)
-    return x, count, kept
+    place = np.cumsum(inside.astype(np.int64) + crosses, axis=0) - 1
+    kept, crossed = np.flatnonzero(inside), np.flatnonzero(crosses)
+    column = crossed % k if k else crossed
+    successor = np.where(last.ravel().take(crossed), column, crossed + k)
+    start, end = distance.ravel().take(crossed), distance.ravel().take(successor)
+    # by signed distances, so that the point is on the edge also where lines are nearly parallel
+    part = np.concatenate([np.zeros(kept.size), start / (start - end)])
+    new_slot = np.concatenate([(place - crosses).ravel().take(kept), place.ravel().take(crossed)])
+    old = np.concatenate([kept, crossed])
+    new = new_slot * k + (old % k if k else old)
+    return old, new, part, np.concatenate([kept, successor]), place[-1] + 1
 
 
 def fan_triangles(corners: Vector, count: Numbers) -> tuple[Numbers, Vector, Vector]:

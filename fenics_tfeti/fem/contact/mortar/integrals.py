@@ -103,7 +103,7 @@ def _integrate_cells(
     cell_pair = cells.pair
     x = by_component([part @ places.T for part in np.moveaxis(cells.corners, 2, 0)])
     on_slave, on_master = (
-        surface.in_facet(piece[cell_pair], reference_coordinates(corners[cell_pair], x))
+        surface.in_facet(piece[cell_pair], reference_coordinates(_rows(corners, cell_pair), x))
         for surface, piece, corners in (
             (slave, cells.slave, cells.on_slave),
             (master, cells.master, cells.on_master),
@@ -118,12 +118,10 @@ def _integrate_cells(
         factor = np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])
         weighted *= factor[:, :, None]
         ones = _sum(weighted.sum(axis=1), cell_facet, facet.size)
-    products = "cqv,cqw->cvw"
-    mass = trace = _sum(np.einsum(products, weighted, slave_functions), cell_facet, facet.size)
+    mass = trace = _sum(_products(weighted, slave_functions), cell_facet, facet.size)
     if slave.per_facet > 1:
-        of_nodes = np.einsum(products, weighted, shape_functions(on_slave, t))
-        trace = _sum(of_nodes, cell_facet, facet.size)
-    coupling = _sum(np.einsum(products, weighted, master_functions), cell_pair, cells.slave.size)
+        trace = _sum(_products(weighted, shape_functions(on_slave, t)), cell_facet, facet.size)
+    coupling = _sum(_products(weighted, master_functions), cell_pair, cells.slave.size)
     # relative to a plane's origin: rounding is that of the gap, not that of the coordinates
     origin = planes.origin[facet * slave.per_facet, None]
     offset = master.points.take(master.nodes[master_facet], axis=0) - origin[pair]
@@ -141,6 +139,18 @@ def _integrate_cells(
         master_facet,
         coupling,
     )
+
+
+def _rows(values: Vector, chosen: Numbers) -> Vector:
+    """Return rows of an array, in the memory as `by_component` has them."""
+    return values.T.take(chosen, axis=-1).T
+
+
+def _products(first: Vector, second: Vector) -> Vector:
+    """Return the sums over q of (c, q, v) and (c, q, w), faster than many small products."""
+    lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
+    rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
+    return np.stack([row.T for row in rows]).transpose(2, 0, 1)
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
@@ -175,5 +185,7 @@ def _sum(values: Vector, index: Numbers, size: int) -> Vector:
     """Sum rows by the ascending number that each belongs to; every number has a row."""
     if not size:
         return np.zeros((0, *values.shape[1:]))
-    total: Vector = np.add.reduceat(values, np.searchsorted(index, np.arange(size)), axis=0)
-    return total
+    first = np.searchsorted(index, np.arange(size))
+    # along the last axis, which is contiguous; the result in the order of rows
+    total = np.add.reduceat(np.moveaxis(values, 0, -1), first, axis=-1)
+    return np.ascontiguousarray(np.moveaxis(total, -1, 0))
