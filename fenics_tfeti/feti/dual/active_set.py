@@ -105,25 +105,16 @@ class _ActiveSet:
             return _ActiveSet(
                 problem, turn, has_friction, contact_state, start.on_face, problem.c, True, circle
             )
-        multipliers, progress = start.multipliers, _Progress()
+        multipliers = start.multipliers
         contact_state = ContactState.of(problem, multipliers, start.active, start.slips)
         # contact alone balances no load that friction holds
         if not has_friction and not _counts(problem, contact_state.active)[0]:
-            progress.tension_factor = 1.0
             pressing = problem.feasible[rows]
             contact_state = replace(contact_state, active=pressing > 0.0)
             multipliers = multipliers.copy()
             multipliers[rows] += pressing
         return _ActiveSet(
-            problem,
-            turn,
-            has_friction,
-            contact_state,
-            multipliers,
-            problem.c,
-            False,
-            circle,
-            progress=progress,
+            problem, turn, has_friction, contact_state, multipliers, problem.c, False, circle
         )
 
     def step(self) -> _Step:
@@ -137,7 +128,6 @@ class _ActiveSet:
             self.iterate,
             tolerance=turn.tolerance,
             sign_factor=self.progress.sign_factor,
-            tension_factor=self._tension_factor(),
             max_products=turn.max_products,
             products=turn.products,
             resume=self.resumes,
@@ -156,19 +146,6 @@ class _ActiveSet:
         changed += moved
         turn.monitor(ActiveSetStep(turn.products.total, iterate.residual, size, changed))
         return _Step(face, iterate, gradient, active, sticking, forces, changed)
-
-    def _tension_factor(self) -> float:
-        """Return how many times negative forces count where the signs of a face are known.
-
-        They are as flexible as ||PFP|| at worst, and what closes gaps is as stiff as a weight of 1.
-        In bodies that bend these differ much: small negative forces would end the iterations on
-        each face at once, so they count as gaps of the same energy. With friction the slips of a
-        face, too, change with its forces, and more accuracy is spent on wrong directions.
-        """
-        if self.problem.constraints.has_friction:
-            return 1.0
-        same_energy = 1.0 / np.sqrt(max(self.problem.norm * self.problem.unit, 1.0))
-        return float(max(self.progress.tension_factor, same_energy))
 
     def judge(self, step: _Step) -> SolveStatus | None:
         """Return how the method ends with a step; None if it goes on."""
@@ -231,11 +208,9 @@ class _Progress:
     """The decrease of the violation of signs from face to face.
 
     Signs may have been those of inaccurate solutions: where the violation does not decrease, the
-    sign factor is halved. Where nothing is known of the set the first faces are wrong, however
-    accurate: there the weight of negative forces begins with 1, and is halved from face to face.
+    sign factor is halved.
     """
 
-    tension_factor: float = 0.0  # least weight of negative forces
     sign_factor: float = 1.0  # tolerance of the residual on a face, relative to the violation
     smallest: float = np.inf
     best: float = np.inf  # the smallest but for small decreases
@@ -243,7 +218,6 @@ class _Progress:
 
     def update(self, violation: float, active: Mask) -> None:
         """Compare with the smallest violation so far."""
-        self.tension_factor *= 0.5
         if violation >= self.smallest:
             self.sign_factor *= 0.5
         self.smallest = min(violation, self.smallest)

@@ -197,19 +197,13 @@ class PCPGIterate:
     multipliers: Vector  # (m,): l, with Gl = e and the fixed ones off the face
     gradient: Vector  # (m,): Fl - d + G'a
     residual: float  # ||P(d - Fl)|| on the face [m]
-    tension: float  # norm of negative forces on the face, times ||PFP|| [m]
-    others: float  # norm of what else violates the signs, see `_norms` [m]
+    violation: float  # norm of what violates the signs, see `_norms`
     direction: Vector  # (m,): the last search direction
     rz_of_direction: float  # r'z of the residual from which the direction was made
     step_lengths: tuple[float, ...]  # of the conjugate gradients
     preconditioned: Vector | None = None  # (m,): z = PMr, once it is known
     rz: float = np.inf  # r'z, the squared energy of the residual [J]; infinite while z is not known
     at_limit: bool = False  # whether the residual is rounding: more steps do not reduce it
-
-    @property
-    def violation(self) -> float:
-        """Norm of all that violates the signs [m]."""
-        return float(np.hypot(self.tension, self.others))
 
     @property
     def energy(self) -> float:
@@ -233,13 +227,11 @@ def pcpg(
     products: Products,
     resume: bool = False,
     accurate: float = 0.0,
-    tension_factor: float = 1.0,
 ) -> PCPGIterate:
     """Minimise on a face until its signs are known well enough.
 
     The iterations end when the residual is below `sign_factor` times the violation of the signs
-    (more accuracy would be spent on the wrong face), in which negative forces count
-    `tension_factor` times, or below `accurate` [m], or its energy
+    (more accuracy would be spent on the wrong face), or below `accurate` [m], or its energy
     sqrt(r'z) below `tolerance` [sqrt(J)]; the signs are tested each time the residual has halved.
     `start` is the multipliers, or the last iterate on another face; with `resume` its conjugate
     gradients are continued on the same face. Where rounding ends the iterations, the iterate with
@@ -254,8 +246,7 @@ def pcpg(
             return iterate
         if iterate.residual <= test_below:
             iterate = _at_least_penetration(problem, face, iterate)
-            sign_error = float(np.hypot(tension_factor * iterate.tension, iterate.others))
-            if iterate.residual <= max(sign_factor * sign_error, accurate):
+            if iterate.residual <= max(sign_factor * iterate.violation, accurate):
                 return iterate
             test_below = 0.5 * iterate.residual
         iterate = _with_preconditioned_residual(problem, face, iterate, products)
@@ -293,8 +284,8 @@ def _at_least_penetration(problem: DualProblem, face: Face, iterate: PCPGIterate
     if face.loose is None:
         return iterate
     gradient = face.loose.at_least_penetration(iterate.gradient)
-    _, tension, others = _norms(problem, face, iterate.multipliers, gradient)
-    return replace(iterate, gradient=gradient, tension=tension, others=others)
+    _, violation = _norms(problem, face, iterate.multipliers, gradient)
+    return replace(iterate, gradient=gradient, violation=violation)
 
 
 def _improves(iterate: PCPGIterate, best: PCPGIterate, tolerance: float) -> bool:
@@ -456,22 +447,20 @@ def friction_step(
 
 def _norms(
     problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
-) -> tuple[float, float, float]:
-    """Return the norms of the residual, of negative forces and of other violations of the signs.
+) -> tuple[float, float]:
+    """Return the norms of the residual and of what violates the signs; one reduction.
 
-    The signs are violated by negative forces (times ||PFP||) on the face, and by negative gaps off
-    it; with friction also by forces above the bound, and by changes of forces that a slip asks for.
-    One reduction.
+    The signs are violated by negative forces (times ||PFP||) on the face and negative gaps off it;
+    with friction also by forces above the bound, and by changes of forces that a slip asks for.
     """
-    rows, active = problem.constraints.inequality, face.contact_state.active
-    negative, others = np.zeros_like(gradient), np.zeros_like(gradient)
-    negative[rows] = problem.norm * np.where(active, np.minimum(multipliers[rows], 0.0), 0.0)
-    others[rows] = np.where(active, 0.0, np.minimum(gradient[rows], 0.0))
+    rows = problem.constraints.inequality
+    wrong = np.zeros_like(gradient)
+    force = problem.norm * multipliers[rows]
+    wrong[rows] = np.minimum(np.where(face.contact_state.active, force, gradient[rows]), 0.0)
     friction = problem.constraints.friction
     forces = friction_step(problem, face, multipliers, gradient)
     change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
-    others += friction.spread(change, others.size)
+    wrong += friction.spread(change, wrong.size)
     residual = face.projector.on_rows(gradient + face.derivative(multipliers))
-    squares = problem.space.dots((residual, residual), (negative, negative), (others, others))
-    size, tension, other = np.sqrt(squares).tolist()
-    return size, tension, other
+    squares = problem.space.dots((residual, residual), (wrong, wrong))
+    return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

@@ -99,7 +99,7 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
     nothing = PCPGIterate(
-        face.contact_state, multipliers, gradient, 0.0, 0.0, 0.0, 0.0 * gradient, 1.0, ()
+        face.contact_state, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ()
     )
     sign_test_gradient = _without_tensile_rows(problem, face, nothing)
     penetrated = (sign_test_gradient[rows] < 0.0) & (contact == 1) & ~active
