@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -168,34 +167,8 @@ class Prescribed:
         _convert(self, condition=np.int64)
 
 
-class SparseRows:
-    """The terms of rows, those of a row from its slave node on one after the other."""
-
-    offsets: Numbers  # (rows + 1,)
-    nodes: Numbers  # (terms,)
-    slaves: Numbers | None  # (rows,): how many of a row's terms are those of the slave's nodes
-
-    @cached_property
-    def row(self) -> Numbers:
-        """The row of each term, (terms,)."""
-        return np.repeat(np.arange(self.offsets.size - 1), np.diff(self.offsets))
-
-    @property
-    def slave(self) -> Numbers:
-        """The slave node of each row, (rows,)."""
-        nodes: Numbers = self.nodes[self.offsets[:-1]]
-        return nodes
-
-    @property
-    def on_slave(self) -> NDArray[np.bool_]:
-        """Whether each term is that of a slave node, (terms,)."""
-        position = np.arange(self.nodes.size) - self.offsets[:-1][self.row]
-        mask: NDArray[np.bool_] = position < np.asarray(self.slaves)[self.row]
-        return mask
-
-
 @dataclass(frozen=True)
-class ContactRows(SparseRows):
+class ContactRows:
     """Conditions sum_k c_k'u(node_k) <= gap: linearised non-penetration (11.1), (11.7).
 
     The first term of each row is the slave node's; further nodes of the slave follow, then those of
@@ -347,6 +320,22 @@ class ContactRows(SparseRows):
     def size(self) -> int:
         """Number of rows."""
         return int(self.gap.size)
+
+    @property
+    def row(self) -> Numbers:
+        """The row of each term, (terms,)."""
+        return rows_of_terms(self.offsets)
+
+    @property
+    def slave(self) -> Numbers:
+        """The slave node of each row, (rows,)."""
+        nodes: Numbers = self.nodes[self.offsets[:-1]]
+        return nodes
+
+    @property
+    def on_slave(self) -> NDArray[np.bool_]:
+        """Whether each term is that of a slave node, (terms,)."""
+        return terms_of_slaves(self.offsets, np.asarray(self.slaves))
 
     @property
     def length(self) -> Vector:
@@ -549,6 +538,18 @@ class TornSystem:
             _set(self, "tied", ContactRows.none(self.gdim if isinstance(self.gdim, int) else 0))
         if isinstance(self.friction, Friction) and np.shape(self.friction.tangents) == (0, 0, 1):
             _set(self, "friction", Friction.none(self.gdim if isinstance(self.gdim, int) else 1))
+
+
+def rows_of_terms(offsets: Numbers) -> Numbers:
+    """Return the row of each term of sparse rows, (terms,); the offsets are (rows + 1,)."""
+    return np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
+
+
+def terms_of_slaves(offsets: Numbers, slaves: Numbers) -> NDArray[np.bool_]:
+    """Tell of which terms the nodes are slaves, (terms,): the first ones (rows,) of each row."""
+    row = rows_of_terms(offsets)
+    mask: NDArray[np.bool_] = np.arange(row.size) - offsets[row] < slaves[row]
+    return mask
 
 
 def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:

@@ -12,12 +12,12 @@ import numpy as np
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti.system import ContactRows, SparseRows
+from fenics_tfeti.feti.system import ContactRows, rows_of_terms, terms_of_slaves
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
-class Terms(SparseRows):
+class Terms:
     """Sums of displacements with scalar weights: k sparse rows of t terms (node, weight).
 
     The terms of row i are those from offsets[i] up to offsets[i + 1]: first its slave node, then
@@ -53,6 +53,22 @@ class Terms(SparseRows):
         terms = slice(offsets[0], offsets[-1])
         slaves = self.slaves[first:end]
         return Terms(offsets - offsets[0], self.nodes[terms], self.weights[terms], slaves)
+
+    @cached_property
+    def row(self) -> Numbers:
+        """The row of each term, (t,)."""
+        return rows_of_terms(self.offsets)
+
+    @property
+    def slave(self) -> Numbers:
+        """The slave node of each row, (k,)."""
+        nodes: Numbers = self.nodes[self.offsets[:-1]]
+        return nodes
+
+    @property
+    def on_slave(self) -> Mask:
+        """Whether the node of each term is one of the slave, (t,)."""
+        return terms_of_slaves(self.offsets, self.slaves)
 
     @cached_property
     def scale(self) -> Vector:

@@ -1,4 +1,4 @@
-"""What may touch: pairs of surfaces, and surfaces at rigid obstacles."""
+"""Contacts: pairs of surfaces, and surfaces at rigid obstacles."""
 
 from __future__ import annotations
 

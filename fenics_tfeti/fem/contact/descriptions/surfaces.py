@@ -1,4 +1,4 @@
-"""What descriptions have in common: a name, and tags of surfaces."""
+"""Names and tags of surfaces, which all descriptions have."""
 
 from __future__ import annotations
 

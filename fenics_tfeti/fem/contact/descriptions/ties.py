@@ -1,4 +1,4 @@
-"""What stays together: ties, periodic surfaces, bolts and any linear conditions."""
+"""Ties: periodic surfaces, bolts and any linear conditions."""
 
 from __future__ import annotations
 

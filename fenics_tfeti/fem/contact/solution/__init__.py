@@ -1,1 +1,1 @@
-"""What a solution is at contacts and ties, measured and transferred to other meshes."""
+"""The solution at contacts and ties, measured and transferred to other meshes."""
