@@ -279,5 +279,4 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
 def _touching(nodes: NodeMap, marked: Numbers, corners: Numbers) -> Mask:
     """Tell which cells have a corner among marked nodes of any rank. Collective."""
     count = nodes.sum_at_owners(marked, np.ones(marked.size))
-    touching: Mask = (nodes.values_at(count, corners) > 0.0).any(axis=1)
-    return touching
+    return (nodes.values_at(count, corners) > 0.0).any(axis=1)

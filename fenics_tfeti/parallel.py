@@ -131,8 +131,7 @@ class Directory:
 
     def _home(self, keys: Numbers) -> Array:
         # keys that no rank holds may lie beyond the limit
-        home: Array = np.clip(keys // self._chunk, 0, self._comm.size - 1)
-        return home
+        return np.clip(keys // self._chunk, 0, self._comm.size - 1)
 
     def collect(self, keys: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (key, data...) to the keys' homes; return columns as `send_rows` does."""

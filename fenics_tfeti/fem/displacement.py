@@ -187,8 +187,7 @@ def fill_displacement(
 def owned_values(uh: Function) -> Vector:
     """Return the values of a function at the degrees of freedom that this rank owns."""
     nodes = NodeMap(uh.function_space)
-    values: Vector = uh.x.array[: nodes.owned * nodes.components].copy()
-    return values
+    return uh.x.array[: nodes.owned * nodes.components].copy()
 
 
 def fill_owned(uh: Function, values: Vector) -> Function:

@@ -72,8 +72,7 @@ class CellGradients:
             if ratios[cell, point] < smallest:
                 smallest = float(ratios[cell, point])
                 place = format_point(batch.nodes[cell].mean(axis=0))
-        lowest: tuple[float, str] = min(self._space.mesh.comm.allgather((smallest, place)))
-        return lowest
+        return min(self._space.mesh.comm.allgather((smallest, place)))
 
     def _over_cells(self, shapes: list[Vector], *fields: Vector) -> Iterator[GradientBatch]:
         """Yield gradients at the points of shape functions of the geometry and the field."""
@@ -143,8 +142,7 @@ def _derivatives(shapes: Vector, values: Vector) -> Vector:
 
 def _product(A: Vector, B: Vector) -> Vector:
     """Return AB of small matrices (d, d, p, k), entry by entry for all of them at once."""
-    product: Vector = np.sum([A[:, i, None] * B[None, i] for i in range(len(B))], axis=0)
-    return product
+    return np.sum([A[:, i, None] * B[None, i] for i in range(len(B))], axis=0)
 
 
 def _inverse(A: Vector) -> tuple[Vector, Vector]:

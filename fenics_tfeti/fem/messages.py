@@ -20,8 +20,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 def coordinate_order(points: Vector) -> NDArray[np.intp]:
     """Return the order of points (k, gdim) by coordinates, which is that on any ranks."""
-    order: NDArray[np.intp] = np.lexsort(points.T[::-1])
-    return order
+    return np.lexsort(points.T[::-1])
 
 
 def first_rows(comm: MPI.Intracomm, columns: Sequence[Vector], number: int) -> list[Vector]:

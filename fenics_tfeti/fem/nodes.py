@@ -56,8 +56,7 @@ class NodeMap:
     def coordinates(self) -> Vector:
         """The places (owned, gdim) of the owned nodes now [m]."""
         x = self.space.tabulate_dof_coordinates()
-        coordinates: Vector = x[: self.owned, : self.space.mesh.geometry.dim]
-        return coordinates
+        return x[: self.owned, : self.space.mesh.geometry.dim]
 
     def values(self, uh: Function) -> Vector:
         """Return the values (size, components) of a function of the space."""
@@ -65,8 +64,7 @@ class NodeMap:
 
     def copied(self, values: Array) -> Array:
         """Return values (n, ...) at this rank's nodes of the space, for each copy of them."""
-        copied: Array = values[self.originals]
-        return copied
+        return values[self.originals]
 
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
@@ -107,8 +105,7 @@ class NodeMap:
         distinct, inverse = np.unique(nodes, return_inverse=True)
         queries = np.split(distinct, np.searchsorted(distinct, self._ends[:-1]))
         rows = [values[query - self.first] for query in all_to_all(self.comm, queries)]
-        found: Array = np.concatenate(all_to_all(self.comm, rows))[inverse.reshape(nodes.shape)]
-        return found
+        return np.concatenate(all_to_all(self.comm, rows))[inverse.reshape(nodes.shape)]
 
     def to_owners(self, nodes: Numbers, *data: Array) -> tuple[Array, ...]:
         """Send rows (node, data...) to the owners; return local nodes and data, by sender."""

@@ -45,8 +45,7 @@ def with_body_names(cell_tags: Any, names: Mapping[int, str]) -> Any:
 
 def body_names(cell_tags: Any) -> Mapping[int, str]:
     """Return the names that tags of cells carry, by tag."""
-    names: Mapping[int, str] = getattr(cell_tags, "body_names", {})
-    return names
+    return getattr(cell_tags, "body_names", {})
 
 
 def dense_tags(tags: Any, size: int) -> Numbers:
@@ -128,10 +127,7 @@ def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
 
 def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
-    exterior: NDArray[np.bool_] = exterior_facets(domain)[
-        cell_facets(domain)[: owned_cells(domain)]
-    ]
-    return exterior
+    return exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
 
 
 def distinct_rows(rows: Numbers) -> tuple[Numbers, Numbers]:

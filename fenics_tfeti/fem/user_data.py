@@ -130,8 +130,7 @@ def unit_vectors(
             f"{what} vanishes at {bad.number} points, the first at {bad.place}: give a non-zero "
             "vector at every node of the slave"
         )
-    unit: Vector = vectors / length[:, None]
-    return unit
+    return vectors / length[:, None]
 
 
 def as_points(data: ArrayLike, what: str) -> Vector:
@@ -159,8 +158,7 @@ def _vectors(field: VectorField, points: Vector, gdim: int, what: str) -> Vector
     k = len(points)
     if callable(field):
         values = _called(field, points, what, (gdim, k), (3, k))
-        vectors: Vector = values[:gdim].T
-        return vectors
+        return values[:gdim].T
     vector = as_array(field, what)
     if vector.shape != (gdim,):
         raise InputError(f"{what} has shape {vector.shape}, expected ({gdim},) or a function of x")

@@ -72,8 +72,7 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
         if values.dtype.kind == "f" and bodies.of_cell.size:
             rows = flat_rows(values[: bodies.of_cell.size])
             selected += [rows.argmin(axis=0), rows.argmax(axis=0)]
-    cells: NDArray[np.int32] = np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
-    return cells
+    return np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
 
 
 def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:

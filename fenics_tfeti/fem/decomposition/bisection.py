@@ -124,5 +124,4 @@ def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:
             best = neighbours[np.argmax(common)]
             size[best] += size[target]
             joined[joined == target] = best
-    part: Numbers = np.unique(joined, return_inverse=True)[1][piece]
-    return part
+    return np.unique(joined, return_inverse=True)[1][piece]

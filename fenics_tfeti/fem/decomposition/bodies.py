@@ -109,8 +109,7 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     joined = (keys[1:] == keys[:-1]) & (tag[1:] == tag[:-1])
     edges = concatenate_ranks(comm, np.unique([label[:-1][joined], label[1:][joined]], axis=1).T)
     graph = sp.csr_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(total, total))
-    number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
-    return number
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _bounding_boxes(

@@ -72,8 +72,7 @@ def block_of_cells(grid: Grid, nodes: float) -> Numbers:
         for n, length in zip(grid.cells, grid.lengths, strict=True)
     ]
     index = [(grid.cell[:, axis] * count) // grid.cells[axis] for axis, count in enumerate(counts)]
-    block: Numbers = np.ravel_multi_index(tuple(index), tuple(counts))
-    return block
+    return np.ravel_multi_index(tuple(index), tuple(counts))
 
 
 def _blocks_along(cells: int, target: float) -> int:

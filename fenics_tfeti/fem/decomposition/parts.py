@@ -279,8 +279,7 @@ def _order_of_rows(table: Indices, numbers: int) -> NDArray[np.intp]:
     keys, second = table[:, ::-2].astype(np.int64), table[:, -2::-2]
     keys[:, : second.shape[1]] *= numbers
     keys[:, : second.shape[1]] += second
-    order: NDArray[np.intp] = np.lexsort(keys[:, ::-1].T)
-    return order
+    return np.lexsort(keys[:, ::-1].T)
 
 
 def _hash(*data: NDArray[Any]) -> bytes:

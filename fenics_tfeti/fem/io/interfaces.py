@@ -272,8 +272,7 @@ def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Op
             f"{bad.place}: tag the cells on one side of the cut differently, then the sides can be "
             "told apart"
         )
-    below: Mask = cosine > 0.0
-    return below
+    return cosine > 0.0
 
 
 # -- nodes -------------------------------------------------------------------------------------
@@ -321,8 +320,7 @@ def _groups_at_vertices(whole: WholeMesh, facets: Numbers, opened: Numbers, spli
     size = count + int(joint.max(initial=-1)) + 1
     ends = entry[cell, vertex], count + joint
     graph = sp.coo_matrix((np.ones(joint.size), ends), (size, size))
-    groups: Numbers = connected_components(graph, directed=False)[1][:count]
-    return groups
+    return connected_components(graph, directed=False)[1][:count]
 
 
 def _copy_nodes(nodes: Numbers, chosen: Mask, group: Numbers, x: Vector) -> Vector:
