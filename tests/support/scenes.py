@@ -259,7 +259,11 @@ def two_beams(
     20 MPa downwards on 3 m2 (in 2D on 3 m) of the upper beam, which contact alone holds up.
     `n` is per metre, `metre` what a metre is in the unit of length used.
     """
-    scene = beams(comm, cell, n, gap, metre)
+    return loaded_beams(beams(comm, cell, n, gap, metre), metre)
+
+
+def loaded_beams(scene: Scene, metre: float = 1.0) -> Scene:
+    """Load the beams."""
     scene.traction = scene.constant(-TRACTION / metre**2)
     scene.L = scene.traction * scene.v[scene.gdim - 1] * scene.ds(LOADED)
     scene.total_forces = [3.0 * TRACTION * metre ** (scene.gdim - 3)]

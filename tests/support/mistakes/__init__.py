@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from mistakes import arguments, bodies, contacts, forms, meshes, pairing, supports
-from mistakes.catalogue import MISTAKES, Mistake
 
-__all__ = [
-    "MISTAKES",
-    "Mistake",
-    "arguments",
-    "bodies",
-    "contacts",
-    "forms",
-    "meshes",
-    "pairing",
-    "supports",
+# in the order of the page of errors
+MISTAKES = [
+    mistake
+    for part in (forms, supports, meshes, contacts, pairing, bodies, arguments)
+    for mistake in part.MISTAKES
 ]

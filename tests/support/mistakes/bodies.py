@@ -17,86 +17,29 @@ from fenics_tfeti import (
     RigidObstacle,
     UnresistedMotion,
 )
-from mistakes.catalogue import beams, mistake
+from mistakes.catalogue import posed, solved, table
 
 
-def pressed(comm, **given):
-    """Solve for a block below a plate that moves with a rigid body."""
-    scene = scenes.pressed_block(comm, "quadrilateral", 2)
-    scene.bcs = scene.bcs[1:]
-    scene.fix(GROUND)
-    body = RigidBody(**{"reference": (0.5, 1.0), "name": "plate", **given})
-    plate = Plane((0.0, 1.0), (0.0, -1.0))
-    joint = RigidObstacle(scene.facet_tags, LOADED, plate, body=body, name="joint")
-    scene.problem(contacts=[joint]).solve()
+def pressed(reference=(0.5, 1.0), **of_body):
+    """Return what solves for a block below a plate that moves with a rigid body."""
+
+    def pose(comm):
+        scene = scenes.pressed_block(comm, "quadrilateral", 2)
+        scene.bcs = scene.bcs[1:]
+        scene.fix(GROUND)
+        body = RigidBody(reference, name="plate", **of_body)
+        plate = Plane((0.0, 1.0), (0.0, -1.0))
+        joint = RigidObstacle(scene.facet_tags, LOADED, plate, body=body, name="joint")
+        scene.problem(contacts=[joint]).solve()
+
+    return pose
 
 
-def rigid_beam(comm, tag=2, body=None, supports=1, **arguments):
-    """Solve for the beams, one of which is rigid."""
-    scene = beams(comm)
+def rigid_beam(tag=2, body=None, supports=1, **more):
+    """Return what solves for the beams, one of which is rigid."""
     upper = RigidBody((2.0, 1.5), translation=(0.0, None), rotation=0.0)
     rigid = {tag: upper if body is None else body}
-    scene.problem(rigid=rigid, bcs=scene.bcs[:supports], **arguments).solve()
-
-
-@mistake("plate", "translation along", error=UnresistedMotion)
-def rigid_body_that_nothing_holds(comm):
-    pressed(comm, force=(0.0, 1e3), rotation=0.0)
-
-
-@mistake("plate", "force", "2 finite numbers")
-def force_on_a_rigid_body_with_three_components(comm):
-    pressed(comm, force=(0.0, 0.0, -1e3))
-
-
-@mistake("joint", "reference point", "3 coordinates")
-def reference_point_of_another_dimension(comm):
-    pressed(comm, reference=(0.5, 1.0, 0.0))
-
-
-@mistake("plate", "spring", "not symmetric")
-def spring_that_is_not_symmetric(comm):
-    pressed(comm, spring=[[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-
-
-@mistake("rigid", r"\b7\b", "cell_tags", r"\[1, 2\]")
-def rigid_tag_on_no_cell(comm):
-    rigid_beam(comm, tag=7)
-
-
-@mistake("rigid", "cell_tags")
-def rigid_cells_without_cell_tags(comm):
-    rigid_beam(comm, cell_tags=None)
-
-
-@mistake("rigid", r"\b2\b", "float")
-def rigid_body_that_is_a_number(comm):
-    rigid_beam(comm, body=1e6)
-
-
-@mistake("rigid is a list", "dict of RigidBody")
-def rigid_bodies_in_a_list(comm):
-    beams(comm).problem(rigid=[RigidBody((2.0, 1.5))])
-
-
-@mistake("rigid", "'upper'", "integer")
-def rigid_body_by_its_name(comm):
-    rigid_beam(comm, tag="upper")
-
-
-@mistake("rigid", "tag 2", "3 coordinates", "mesh 2")
-def rigid_body_of_another_dimension(comm):
-    rigid_beam(comm, body=RigidBody((2.0, 1.5, 0.0)))
-
-
-@mistake("all bodies are rigid", "deformable")
-def rigid_bodies_alone(comm):
-    beams(comm).problem(rigid={1: RigidBody((1.0, 0.5)), 2: RigidBody((2.0, 1.5))})
-
-
-@mistake("rigid bodies", "5 nodes", r"\(3, 1\)", "translation")
-def support_on_a_rigid_body(comm):
-    rigid_beam(comm, supports=2)
+    return solved(rigid=rigid, bcs=lambda s: s.bcs[:supports], **more)
 
 
 def stacked(comm, upper=(2, 2), shape=None):
@@ -109,14 +52,12 @@ def stacked(comm, upper=(2, 2), shape=None):
     return scene
 
 
-@mistake("contact 0", "rigid body 'blocks'", "not unique")
 def contact_between_rigid_bodies(comm):
     scene = stacked(comm)
     scene.contacts = [RigidObstacle(scene.facet_tags, LOADED, Plane((0.0, 2.0), (0.0, -1.0)))]
     scene.problem(rigid={2: RigidBody((0.5, 1.5), name="blocks")}).solve()
 
 
-@mistake("3 nodes", r"\(0, 1\)", "split_interfaces", "TiedPair")
 def rigid_body_that_shares_nodes(comm):
     scene = Scene.of_boxes(comm, "quadrilateral", [((0, 0), (1, 2), (2, 2))], [(GROUND, at(1, 0))])
     upper = locate_entities(scene.mesh, 2, lambda x: x[1] > 1 - 1e-9)
@@ -125,71 +66,89 @@ def rigid_body_that_shares_nodes(comm):
     scene.problem(cell_tags=tags, rigid={1: RigidBody((0.5, 1.5))}).solve()
 
 
-def bolted(comm, scene=None, surfaces=(SLAVE, MASTER), **given):
-    """Solve for blocks that a bolt holds together."""
-    scene = stacked(comm) if scene is None else scene
-    scene.fix(LOADED)
-    scene.contacts = [BoltPreload(scene.facet_tags, *surfaces, name="bolt", **given)]
-    scene.problem().solve()
+def bolted(surfaces=(SLAVE, MASTER), of_blocks=None, **of_bolt):
+    """Return what solves for blocks that a bolt holds together."""
 
+    def pose(comm):
+        scene = stacked(comm, **(of_blocks or {}))
+        scene.fix(LOADED)
+        scene.contacts = [BoltPreload(scene.facet_tags, *surfaces, name="bolt", **of_bolt)]
+        scene.problem().solve()
 
-@mistake("bolt", "force or the shortening")
-def bolt_with_force_and_shortening(comm):
-    bolted(comm, force=1e3, shortening=1e-3)
-
-
-@mistake("bolt", "axis", "in the plane of the cut")
-def axis_of_a_bolt_in_its_cut(comm):
-    bolted(comm, force=1e3, axis=(1.0, 0.0))
+    return pose
 
 
 def bent(x):
     return np.array([x[0], x[1] + 0.2 * x[0] * (1 - x[0])])
 
 
-@mistake("bolt", "not plane", "2 nodes", "axis")
-def cut_of_a_bolt_that_is_not_plane(comm):
-    bolted(comm, stacked(comm, shape=bent), force=1e3)
+def periodic(**of_pair):
+    """Return what solves for two blocks, of which the top moves as the bottom."""
+
+    def pose(comm):
+        scene = stacked(comm)
+        scene.add_pair()
+        cell = PeriodicPair(scene.facet_tags, LOADED, CLAMPED, name="cell", **of_pair)
+        scene.contacts.append(cell)
+        scene.problem(bcs=[]).solve()
+
+    return pose
 
 
-@mistake("bolt", "2 facets of the slave", "match")
-def sides_of_a_cut_with_different_meshes(comm):
-    bolted(comm, stacked(comm, upper=(3, 2)), force=1e3)
+def rows(slaves, offsets):
+    return lambda comm: LinearRows(slaves, [2, 3], [1.0, 1.0], offsets, name="rows")
 
 
-@mistake("bolt", "split_interfaces")
-def cut_with_one_tag_for_both_sides(comm):
-    bolted(comm, surfaces=(SLAVE, SLAVE), force=1e3)
-
-
-def periodic(comm, **given):
-    """Solve for two blocks, of which the top moves as the bottom."""
-    scene = stacked(comm)
-    scene.add_pair()
-    scene.contacts.append(PeriodicPair(scene.facet_tags, LOADED, CLAMPED, name="cell", **given))
-    scene.problem(bcs=[]).solve()
-
-
-@mistake("cell", "translation", "rotation", "TiedPair")
-def periodic_surfaces_without_a_translation(comm):
-    periodic(comm)
-
-
-@mistake("cell", "2 of 2 facets", "match")
-def periodic_surfaces_with_a_wrong_translation(comm):
-    periodic(comm, translation=(0.0, 1.9))
-
-
-@mistake("cell", "rotation", "orthogonal")
-def rotation_of_a_sector_that_is_no_rotation(comm):
-    periodic(comm, rotation=[[1.0, 0.1], [0.0, 1.0]])
-
-
-@mistake("rows", "offsets", "2 that ascend")
-def offsets_of_linear_rows_that_do_not_fit(comm):
-    LinearRows([0], [2, 3], [1.0, 1.0], [0, 1], name="rows")
-
-
-@mistake("rows", "two conditions")
-def slave_of_two_linear_rows(comm):
-    LinearRows([0, 0], [2, 3], [1.0, 1.0], [0, 1, 2], name="rows")
+SKEW = [[1.0, 2.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+BOTH = {1: RigidBody((1.0, 0.5)), 2: RigidBody((2.0, 1.5))}
+TITLE = "Rigid bodies, bolts, periodic surfaces"
+MISTAKES = [
+    *table(
+        TITLE,
+        ("rigid body that nothing holds", pressed(force=(0.0, 1e3), rotation=0.0),
+         "plate", "translation along"),
+        error=UnresistedMotion,
+    ),
+    *table(
+        TITLE,
+        ("force on a rigid body with three components", pressed(force=(0.0, 0.0, -1e3)),
+         "plate", "force", "2 finite numbers"),
+        ("reference point of another dimension", pressed((0.5, 1.0, 0.0)),
+         "joint", "reference point", "3 coordinates"),
+        ("spring that is not symmetric", pressed(spring=SKEW), "plate", "spring", "not symmetric"),
+        ("rigid tag on no cell", rigid_beam(tag=7), "rigid", r"\b7\b", "cell_tags", r"\[1, 2\]"),
+        ("rigid cells without cell tags", rigid_beam(cell_tags=None), "rigid", "cell_tags"),
+        ("rigid body that is a number", rigid_beam(body=1e6), "rigid", r"\b2\b", "float"),
+        ("rigid bodies in a list", posed(rigid=[RigidBody((2.0, 1.5))]),
+         "rigid is a list", "dict of RigidBody"),
+        ("rigid body by its name", rigid_beam(tag="upper"), "rigid", "'upper'", "integer"),
+        ("rigid body of another dimension", rigid_beam(body=RigidBody((2.0, 1.5, 0.0))),
+         "rigid", "tag 2", "3 coordinates", "mesh 2"),
+        ("rigid bodies alone", posed(rigid=BOTH), "all bodies are rigid", "deformable"),
+        ("support on a rigid body", rigid_beam(supports=2),
+         "rigid bodies", "5 nodes", r"\(3, 1\)", "translation"),
+        ("contact between rigid bodies", contact_between_rigid_bodies,
+         "contact 0", "rigid body 'blocks'", "not unique"),
+        ("rigid body that shares nodes", rigid_body_that_shares_nodes,
+         "3 nodes", r"\(0, 1\)", "split_interfaces", "TiedPair"),
+        ("bolt with force and shortening", bolted(force=1e3, shortening=1e-3),
+         "bolt", "force or the shortening"),
+        ("axis of a bolt in its cut", bolted(force=1e3, axis=(1.0, 0.0)),
+         "bolt", "axis", "in the plane of the cut"),
+        ("cut of a bolt that is not plane", bolted(of_blocks={"shape": bent}, force=1e3),
+         "bolt", "not plane", "2 nodes", "axis"),
+        ("sides of a cut with different meshes", bolted(of_blocks={"upper": (3, 2)}, force=1e3),
+         "bolt", "2 facets of the slave", "match"),
+        ("cut with one tag for both sides", bolted((SLAVE, SLAVE), force=1e3),
+         "bolt", "split_interfaces"),
+        ("periodic surfaces without a translation", periodic(),
+         "cell", "translation", "rotation", "TiedPair"),
+        ("periodic surfaces with a wrong translation", periodic(translation=(0.0, 1.9)),
+         "cell", "2 of 2 facets", "match"),
+        ("rotation of a sector that is no rotation", periodic(rotation=[[1.0, 0.1], [0.0, 1.0]]),
+         "cell", "rotation", "orthogonal"),
+        ("offsets of linear rows that do not fit", rows([0], [0, 1]),
+         "rows", "offsets", "2 that ascend"),
+        ("slave of two linear rows", rows([0, 0], [0, 1, 2]), "rows", "two conditions"),
+    ),
+]  # fmt: skip

@@ -4,214 +4,132 @@ from __future__ import annotations
 
 import numpy as np
 import scenes
-from scenes import LOADED, ROLLER, SLAVE, YOUNG
+from scenes import LOADED, ROLLER, SLAVE, YOUNG, elasticity, scalar_space
 
 import ufl
 from dolfinx import fem, mesh
 
 from fenics_tfeti import ContactProblem
 from fenics_tfeti.io import displacement_space
-from mistakes.catalogue import beams, mistake
+from mistakes.catalogue import beams, other_beams, posed, solved, table
 
 
-@mistake("NaN", "bilinear form", "constant 0")
-def nan_in_a_constant(comm):
-    scene = beams(comm)
-    scene.young.value = np.nan
-    scene.problem().solve()
+def stiffness(young):
+    """Return the bilinear form with another modulus, a number or a function of the scene."""
+    return lambda s: elasticity(s.u, s.v, young(s) if callable(young) else s.constant(young))
 
 
-@mistake("NaN", "bilinear form", r"coefficient 0 \(f\)")
-def nan_in_one_cell_of_a_coefficient(comm):
-    scene = beams(comm)
-    young = fem.Function(scenes.scalar_space(scene.mesh, "DG", 0))
-    # The one cell that holds the point (0.1, 0.1), on whatever rank it is.
+def nan_in_a_cell(scene):
+    """Return a modulus that is NaN in the cell of (0.1, 0.1), on whatever rank it is."""
+    young = fem.Function(scalar_space(scene.mesh, "DG", 0))
     young.interpolate(lambda x: YOUNG * np.where((x[0] < 0.25) & (x[1] < 0.25), np.nan, 1.0))
-    scene.a = scenes.elasticity(scene.u, scene.v, young)
-    scene.problem().solve()
+    return young
 
 
-@mistake("stiffness of subdomain", "NaN or infinite", "ratio of 0.5")
-def incompressible_material(comm):
-    scene = beams(comm)
+def incompressible(scene):
     ratio = scene.constant(0.5)
-    scene.a += YOUNG / (1 - 2 * ratio) * ufl.div(scene.u) * ufl.div(scene.v) * ufl.dx
-    scene.problem().solve()
+    return scene.a + YOUNG / (1 - 2 * ratio) * ufl.div(scene.u) * ufl.div(scene.v) * ufl.dx
 
 
-@mistake("NaN", r"\blinear form", "constant 0")
-def nan_in_the_load(comm):
-    scene = beams(comm)
-    scene.traction.value = np.nan
-    scene.problem().solve()
+def on_space(space):
+    """Return what solves a Laplace-like problem on a space, a function of the mesh."""
+
+    def pose(comm):
+        scene = beams(comm)
+        V = space(scene.mesh)
+        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+        right = fem.Constant(scene.mesh, 1.0) * (v[0] if v.ufl_shape else v) * ufl.dx
+        a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
+        ContactProblem(a, right, bcs=[], contacts=scene.contacts).solve()
+
+    return pose
 
 
-@mistake("NaN", "Dirichlet condition 2")
-def nan_in_a_dirichlet_value(comm):
-    scene = beams(comm)
-    scene.fix(ROLLER, 0, np.nan)
-    scene.problem().solve()
+def load(ds):
+    """Return the load on facets, a function of the scene."""
+    return lambda scene: scene.traction * scene.v[1] * ds(scene)
 
 
-def posed_on(scene: scenes.Scene, V) -> None:
-    """Solve a Laplace-like problem on a space that the package does not support."""
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    a = ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx
-    load = fem.Constant(scene.mesh, 1.0)
-    right = load * (v[0] if v.ufl_shape else v) * ufl.dx
-    ContactProblem(a, right, bcs=[], contacts=scene.contacts).solve()
-
-
-@mistake("degree 3", "degree 1 or 2")
-def space_of_degree_three(comm):
-    scene = beams(comm)
-    posed_on(scene, displacement_space(scene.mesh, 3))
-
-
-@mistake("scalar", "2 components")
-def scalar_space(comm):
-    scene = beams(comm)
-    posed_on(scene, scenes.scalar_space(scene.mesh))
-
-
-@mistake("symmetric", r"a\(u, v\)")
-def form_that_is_not_symmetric(comm):
-    scene = beams(comm)
-    speed = fem.Constant(scene.mesh, 1e11)
-    scene.a += speed * scene.u[1].dx(0) * scene.v[0] * ufl.dx
-    scene.problem().solve()
-
-
-@mistake("positive", "cell tag")
-def form_that_is_negative(comm):
-    scene = beams(comm)
-    scene.young.value = -YOUNG
-    scene.problem().solve()
-
-
-@mistake("a has 1", "L has 2", "bilinear")
-def forms_exchanged(comm):
-    scene = beams(comm)
-    scene.a, scene.L = scene.L, scene.a
-    scene.problem().solve()
-
-
-@mistake("linear form L", r"ds\(99\)", "boundary", r"tags there are \[1, 2, 3, 5, 6\]")
-def load_on_a_tag_of_no_facet(comm):
-    scene = beams(comm)
-    scene.L = scene.traction * scene.v[1] * scene.ds((LOADED, 99))
-    scene.problem()
-
-
-@mistake("bilinear form a", r"dx\(3\)", "no cell", r"tags there are \[1, 2\]")
-def stiffness_on_a_tag_of_no_cell(comm):
-    scene = beams(comm)
-    scene.a += scenes.elasticity(scene.u, scene.v, scene.young, scene.dx(3))
-    scene.problem()
-
-
-@mistake("linear form L", r"ds\(4\)", "boundary", r"tags there are \[5\]")
-def load_on_facets_inside_a_body(comm):
-    scene = beams(comm)
+def inner_facets(scene):
+    """Return the measure of tags of which 4 is on facets inside a body."""
     inside = mesh.locate_entities(scene.mesh, 1, scenes.at(0, 0.5))
     surface = scene.facet_tags.find(SLAVE)
     facets = np.concatenate([inside, surface])
     order = np.argsort(facets)
     tags = np.repeat(np.array([4, SLAVE], dtype=np.int32), [inside.size, surface.size])
-    ds = ufl.Measure(
-        "ds",
-        domain=scene.mesh,
-        subdomain_data=mesh.meshtags(scene.mesh, 1, facets[order], tags[order]),
-    )
-    scene.L = scene.traction * scene.v[1] * ds(4)
-    scene.problem()
+    return facet_measure(scene, mesh.meshtags(scene.mesh, 1, facets[order], tags[order]))
 
 
-@mistake("linear form L", "tags of another mesh")
-def load_on_tags_of_another_mesh(comm):
-    scene, other = beams(comm), beams(comm)
-    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=other.facet_tags)
-    scene.L = scene.traction * scene.v[1] * ds(LOADED)
-    scene.problem()
+def same_facets(scene):
+    tags = scene.facet_tags
+    return facet_measure(scene, mesh.meshtags(scene.mesh, 1, tags.indices, tags.values))
 
 
-@mistake("linear form L", "2 different subdomain_data", "join")
-def loads_with_two_facet_tags(comm):
-    scene = beams(comm)
-    again = mesh.meshtags(scene.mesh, 1, scene.facet_tags.indices, scene.facet_tags.values)
-    ds = ufl.Measure("ds", domain=scene.mesh, subdomain_data=again)
-    scene.L += scene.traction * scene.v[0] * ds(LOADED)
-    scene.problem()
+def facet_measure(scene, tags):
+    return ufl.Measure("ds", domain=scene.mesh, subdomain_data=tags)
 
 
-@mistake("a and L", "different function spaces")
-def forms_on_two_meshes(comm):
-    scene, other = beams(comm), beams(comm)
-    scene.L = other.L
-    scene.problem().solve()
-
-
-@mistake("form a", "compiled", "without dolfinx.fem.form")
-def compiled_stiffness(comm):
-    scene = beams(comm)
-    scene.a = fem.form(scene.a)
-    scene.problem()
-
-
-@mistake("form L", "compiled", "without dolfinx.fem.form")
-def compiled_load(comm):
-    scene = beams(comm)
-    scene.L = fem.form(scene.L)
-    scene.problem()
-
-
-@mistake("no trial function", "Function 'w'", "TrialFunction", "Newton step")
-def residual_for_the_stiffness(comm):
-    scene = beams(comm)
-    w = fem.Function(scene.V, name="w")
-    scene.a = scenes.elasticity(w, scene.v, scene.young)
-    scene.problem()
-
-
-@mistake("a is not linear in its arguments", "Newton step")
-def form_that_is_not_linear_in_the_trial_function(comm):
-    scene = beams(comm)
+def squared_gradient(scene):
     grad_u = ufl.grad(scene.u)
-    scene.a += scene.young * ufl.inner(grad_u * grad_u, ufl.grad(scene.v)) * ufl.dx
-    scene.problem()
+    return scene.a + scene.young * ufl.inner(grad_u * grad_u, ufl.grad(scene.v)) * ufl.dx
 
 
-@mistake("a is not linear in its arguments", "ufl.lhs and ufl.rhs")
-def load_in_the_stiffness(comm):
-    scene = beams(comm)
-    scene.a -= scene.L
-    scene.problem()
-
-
-@mistake("L is not linear in its arguments", "test function")
-def load_with_the_test_function_twice(comm):
-    scene = beams(comm)
-    scene.L += scene.traction * ufl.inner(scene.v, scene.v) * ufl.dx
-    scene.problem()
-
-
-@mistake("form L", "float", "form of UFL")
-def load_that_is_a_number(comm):
-    scene = beams(comm)
-    scene.L = 3.0
-    scene.problem()
-
-
-@mistake("form a", "NoneType", "form of UFL")
-def no_stiffness(comm):
-    scene = beams(comm)
-    scene.a = None
-    scene.problem()
-
-
-@mistake("interval", "two or three dimensions")
-def mesh_of_one_dimension(comm):
-    bar = mesh.create_unit_interval(comm, 4)
-    V = scenes.scalar_space(bar)
+def bar(comm):
+    V = scalar_space(mesh.create_unit_interval(comm, 4))
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     ContactProblem(ufl.inner(ufl.grad(u), ufl.grad(v)) * ufl.dx, 0)
+
+
+MISTAKES = table(
+    "Forms",
+    ("NaN in a constant", solved(a=stiffness(np.nan)), "NaN", "bilinear form", "constant 0"),
+    ("NaN in one cell of a coefficient", solved(a=stiffness(nan_in_a_cell)),
+     "NaN", "bilinear form", r"coefficient 0 \(f\)"),
+    ("incompressible material", solved(a=incompressible),
+     "stiffness of subdomain", "NaN or infinite", "ratio of 0.5"),
+    ("NaN in the load", solved(L=lambda s: s.constant(np.nan) * s.v[1] * s.ds(LOADED)),
+     "NaN", r"\blinear form", "constant 0"),
+    ("NaN in a dirichlet value",
+     solved(bcs=lambda s: [*s.bcs, scenes.fixed(s.V, s.facet_tags, ROLLER, 0, np.nan)]),
+     "NaN", "Dirichlet condition 2"),
+    ("space of degree three", on_space(lambda domain: displacement_space(domain, 3)),
+     "degree 3", "degree 1 or 2"),
+    ("scalar space", on_space(scalar_space), "scalar", "2 components"),
+    ("form that is not symmetric",
+     solved(a=lambda s: s.a + s.constant(1e11) * s.u[1].dx(0) * s.v[0] * ufl.dx),
+     "symmetric", r"a\(u, v\)"),
+    ("form that is negative", solved(a=stiffness(-YOUNG)), "positive", "cell tag"),
+    ("forms exchanged", solved(a=lambda s: s.L, L=lambda s: s.a), "a has 1", "L has 2", "bilinear"),
+    ("load on a tag of no facet", posed(L=load(lambda s: s.ds((LOADED, 99)))),
+     "linear form L", r"ds\(99\)", "boundary", r"tags there are \[1, 2, 3, 5, 6\]"),
+    ("stiffness on a tag of no cell",
+     posed(a=lambda s: s.a + elasticity(s.u, s.v, s.young, s.dx(3))),
+     "bilinear form a", r"dx\(3\)", "no cell", r"tags there are \[1, 2\]"),
+    ("load on facets inside a body", posed(L=load(lambda s: inner_facets(s)(4))),
+     "linear form L", r"ds\(4\)", "boundary", r"tags there are \[5\]"),
+    ("load on tags of another mesh",
+     posed(L=load(lambda s: facet_measure(s, other_beams(s.mesh.comm).facet_tags)(LOADED))),
+     "linear form L", "tags of another mesh"),
+    ("loads with two facet tags",
+     posed(L=lambda s: s.L + s.traction * s.v[0] * same_facets(s)(LOADED)),
+     "linear form L", "2 different subdomain_data", "join"),
+    ("forms on two meshes", solved(L=lambda s: other_beams(s.mesh.comm).L),
+     "a and L", "different function spaces"),
+    ("compiled stiffness", posed(a=lambda s: fem.form(s.a)),
+     "form a", "compiled", "without dolfinx.fem.form"),
+    ("compiled load", posed(L=lambda s: fem.form(s.L)),
+     "form L", "compiled", "without dolfinx.fem.form"),
+    ("residual for the stiffness",
+     posed(a=lambda s: elasticity(fem.Function(s.V, name="w"), s.v, s.young)),
+     "no trial function", "Function 'w'", "TrialFunction", "Newton step"),
+    ("form that is not linear in the trial function", posed(a=squared_gradient),
+     "a is not linear in its arguments", "Newton step"),
+    ("load in the stiffness", posed(a=lambda s: s.a - s.L),
+     "a is not linear in its arguments", "ufl.lhs and ufl.rhs"),
+    ("load with the test function twice",
+     posed(L=lambda s: s.L + s.traction * ufl.inner(s.v, s.v) * ufl.dx),
+     "L is not linear in its arguments", "test function"),
+    ("load that is a number", posed(L=lambda s: 3.0), "form L", "float", "form of UFL"),
+    ("no stiffness", posed(a=None), "form a", "NoneType", "form of UFL"),
+    ("mesh of one dimension", bar, "interval", "two or three dimensions"),
+)  # fmt: skip

@@ -2,58 +2,46 @@
 
 from __future__ import annotations
 
-import scenes
-from scenes import CLAMPED, LOADED
+from scenes import CLAMPED, LOADED, TRACTION, fixed
 
 import ufl
 
 from fenics_tfeti.errors import UnresistedMotion
-from mistakes.catalogue import beams, mistake
+from mistakes.catalogue import posed, solved, table
 
 
-@mistake("(?i)contradictory", r"component 1 at \(0, 0\)", "0.001", "condition 2")
-def two_values_for_one_displacement(comm):
-    scene = beams(comm)
-    scene.fix(CLAMPED, 1, 1e-3)
-    scene.problem().solve()
+def beyond(scene):
+    """Load the upper beam on x > 2, where nothing is below it, and no roller holds it."""
+    place = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(scene.mesh)[0], 2.0), 1.0, 0.0)
+    return scene.traction * place * scene.v[1] * scene.dx(2)
 
 
-@mistake("body 1", "cell tag 2", r"translation along \(0, 1\)", error=UnresistedMotion)
-def pulled_away_from_the_contact(comm):
-    scene = beams(comm)
-    scene.traction.value = +scenes.TRACTION
-    scene.problem().solve()
-
-
-@mistake("body 1", "cell tag 2", r"translation along \(-1, 0\)", error=UnresistedMotion)
-def pushed_along_the_contact(comm):
-    scene = beams(comm)
-    scene.L += scene.traction * scene.v[0] * scene.ds(LOADED)
-    scene.bcs = scene.bcs[:1]
-    scene.problem().solve()
-
-
-@mistake("body 1", "cell tag 2", r"rotation through \(2, ", error=UnresistedMotion)
-def tips_over_the_edge_of_its_support(comm):
-    """The load stands on x > 2, where nothing is below the upper beam, and no roller holds it."""
-    scene = beams(comm)
-    beyond = ufl.conditional(ufl.gt(ufl.SpatialCoordinate(scene.mesh)[0], 2.0), 1.0, 0.0)
-    scene.L = scene.traction * beyond * scene.v[1] * scene.dx(2)
-    scene.bcs = scene.bcs[:1]
-    scene.problem().solve()
-
-
-@mistake("body 0", "cell tag 1", "body 1", "cell tag 2", error=UnresistedMotion)
-def nothing_is_fixed(comm):
-    scene = beams(comm)
-    scene.problem(bcs=[]).solve()
-
-
-@mistake("Dirichlet condition 0", "float", "dirichletbc")
-def condition_that_is_a_number(comm):
-    beams(comm).problem(bcs=[0.0])
-
-
-@mistake("bcs is a float", "list of Dirichlet conditions")
-def conditions_that_are_a_number(comm):
-    beams(comm).problem(bcs=0.0)
+TITLE = "Supports"
+MISTAKES = [
+    *table(
+        TITLE,
+        ("two values for one displacement",
+         solved(bcs=lambda s: [*s.bcs, fixed(s.V, s.facet_tags, CLAMPED, 1, 1e-3)]),
+         "(?i)contradictory", r"component 1 at \(0, 0\)", "0.001", "condition 2"),
+    ),
+    *table(
+        TITLE,
+        ("pulled away from the contact",
+         solved(L=lambda s: s.constant(TRACTION) * s.v[1] * s.ds(LOADED)),
+         "body 1", "cell tag 2", r"translation along \(0, 1\)"),
+        ("pushed along the contact",
+         solved(L=lambda s: s.L + s.traction * s.v[0] * s.ds(LOADED), bcs=lambda s: s.bcs[:1]),
+         "body 1", "cell tag 2", r"translation along \(-1, 0\)"),
+        ("tips over the edge of its support", solved(L=beyond, bcs=lambda s: s.bcs[:1]),
+         "body 1", "cell tag 2", r"rotation through \(2, "),
+        ("nothing is fixed", solved(bcs=[]), "body 0", "cell tag 1", "body 1", "cell tag 2"),
+        error=UnresistedMotion,
+    ),
+    *table(
+        TITLE,
+        ("condition that is a number", posed(bcs=[0.0]),
+         "Dirichlet condition 0", "float", "dirichletbc"),
+        ("conditions that are a number", posed(bcs=0.0),
+         "bcs is a float", "list of Dirichlet conditions"),
+    ),
+]  # fmt: skip
