@@ -6,7 +6,7 @@ import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, cast
+from typing import Any, Generic, TypeVar
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import ContactError, InputError, NotConverged
@@ -29,23 +29,16 @@ from fenics_tfeti.report import ContactReport
 _SHORTEST = 1e-3
 
 
-class _AfterSolve:
-    """An attribute that `solve` sets; before that it is an error."""
-
-    def __get__(self, problem: object, owner: type) -> Any:
-        """Return the class's own, and nothing for a problem."""
-        if problem is None:
-            return self
-        raise InputError("there is no report: call solve() first")
+AnyReport = TypeVar("AnyReport", bound=ContactReport)
 
 
-class SteppedProblem(ABC):
+class SteppedProblem(ABC, Generic[AnyReport]):
     """A contact problem that is solved in load steps; its data, and what was solved last."""
 
     options: ContactOptions
-    report = cast("ContactReport", _AfterSolve())
 
-    _report_type: type[ContactReport] = ContactReport
+    _report_type: type[AnyReport]
+    _report: AnyReport | None = None
     _is_solved = _is_restored = False
     _solved: SolvedContacts | None = None
     _solver: TornSolver | None = None
@@ -83,6 +76,13 @@ class SteppedProblem(ABC):
         with self._timer.phase("assembly"):
             warn_of_locking(self._torn.torn.forms, self._torn.bodies)
         self._step = Step.at(self._first_origin())
+
+    @property
+    def report(self) -> AnyReport:
+        """The report of the last solve."""
+        if self._report is None:
+            raise InputError("there is no report: call solve() first")
+        return self._report
 
     @property
     @abstractmethod
@@ -222,7 +222,7 @@ class SteppedProblem(ABC):
         """Keep the solution that was found with conditions, and has moved rigid bodies."""
         self._solved = solved = SolvedContacts.of(conditions, solution, self.u, bodies)
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
-        self.report = self._report_type.of(
+        self._report = self._report_type.of(
             solution.report,
             self.results,
             self.options.as_dict(),

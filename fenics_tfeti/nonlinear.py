@@ -44,7 +44,7 @@ class NonlinearReport(ContactReport):
     newton: list[NewtonStep] = field(default_factory=list)
 
 
-class NonlinearContactProblem(SteppedProblem):
+class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     """Contact of bodies with finite strains, solved by Newton's method and Total FETI.
 
     Rotations and sliding may be large: in each step contact conditions are those of the deformed
@@ -95,7 +95,6 @@ class NonlinearContactProblem(SteppedProblem):
     """
 
     options: NewtonOptions
-    report: NonlinearReport
 
     _exact = "NonlinearContactProblem"
     _report_type = NonlinearReport
@@ -207,13 +206,13 @@ class NonlinearContactProblem(SteppedProblem):
                 self._save(checkpoint)
         except NotConverged as error:
             if iteration.steps:
-                self.report = replace(self.report, converged=False, reason=str(error))
+                self._report = replace(self.report, converged=False, reason=str(error))
                 error.report = self.report
             raise
         finally:
             self._solver = iteration.solver
         reason = f"equilibrium: {iteration.steps[-1]}"
-        self.report = replace(self.report, converged=True, reason=reason)
+        self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
 
     def _refresh(self) -> None:

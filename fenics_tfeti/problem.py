@@ -28,9 +28,10 @@ from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.report import ContactReport
 
 
-class ContactProblem(SteppedProblem):
+class ContactProblem(SteppedProblem[ContactReport]):
     """Contact of linear elastic bodies, with or without friction, solved by Total FETI.
 
     Parameters
@@ -106,6 +107,8 @@ class ContactProblem(SteppedProblem):
     ... )
     >>> uh = problem.solve()  # doctest: +SKIP
     """
+
+    _report_type = ContactReport
 
     def __init__(
         self,
@@ -339,7 +342,7 @@ class ContactProblem(SteppedProblem):
             new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
             seconds = self._timer.slowest(comm)
-            self.report = replace(self.report, passes=passes, seconds=seconds)
+            self._report = replace(self.report, passes=passes, seconds=seconds)
             if passes[-1].error <= geometry.tolerance:
                 return uh
             if len(passes) >= geometry.max_passes:
@@ -364,7 +367,7 @@ class ContactProblem(SteppedProblem):
             f"limit of {geometry.max_passes} geometry passes (max_passes): the deformed surfaces "
             f"penetrate or gape by {last.error:.1e} of the largest displacement"
         )
-        self.report = replace(self.report, converged=False, reason=reason)
+        self._report = replace(self.report, converged=False, reason=reason)
         if self.options.solver.error_if_not_converged:
             raise NotConverged(
                 f"no exact non-penetration to {geometry.tolerance:g}: {reason}. Raise "
