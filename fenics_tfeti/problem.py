@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.gradients import warn_of_large_gradients
+from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
@@ -223,6 +223,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
                 energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
                 self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
+            if self.geometry is None:
+                warn_of_large_rotations(self.space.mesh.comm, self.rigid_bodies)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
             try:

@@ -13,6 +13,7 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import format_point, warn_user
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.solution.results import RigidBodyResult
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
 from fenics_tfeti.fem.topology import batches, owned_cells
@@ -117,6 +118,19 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
                 "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?"
             )
     return True
+
+
+def warn_of_large_rotations(comm: MPI.Intracomm, bodies: Sequence[RigidBodyResult]) -> None:
+    """Warn, on rank 0, of rigid bodies whose rotation is not small. Collective."""
+    with raise_collectively(comm):
+        for body in bodies if comm.rank == 0 else ():
+            angle = float(np.linalg.norm(body.rotation))
+            if angle > _LARGE:
+                warn_user(
+                    f"{body.name} turns by {angle:.2g} rad, but rotations are small here: its "
+                    "points move along straight lines, and normals stay as they are. "
+                    "geometry=Exact() turns it by any angle"
+                )
 
 
 def _cell_measures(uh: Function) -> tuple[Vector, Vector]:

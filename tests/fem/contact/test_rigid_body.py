@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import warnings
+
 from mpi4py import MPI
 
 import daqp
@@ -286,11 +288,26 @@ def test_turned_body_with_exact_geometry():
     assert joint.active.any()
 
 
+@ranks
+def test_rotation_that_is_not_small():
+    """The hinged bar without `Exact`: one warning."""
+    scene = block(2)
+    hinged = RigidBody((-1.0, 1.3), moment=-1e-3 * YOUNG, translation=0.0, name="bar")
+    scene.add_obstacle(LOADED, Plane((0.0, 1.3), (0.0, -1.0)), body=hinged)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        scene.problem().solve()
+    messages = [str(warning.message) for warning in caught]
+    told = sum("bar turns by 0.15 rad" in message for message in messages)
+    assert COMM.allreduce(told) == 1
+
+
 MISTAKES = {
     "reference point": lambda: RigidBody((0.0,)),
     "force is": lambda: RigidBody((0.0, 0.0), force=(1.0,)),
     "moment is": lambda: RigidBody((0.0, 0.0, 0.0), moment=None),
     "translation is": lambda: RigidBody((0.0, 0.0), translation=(0.0, "free")),
+    "rotation is .* a number or None is expected": lambda: RigidBody((0.0, 0.0), rotation=(0, 1)),
     "3 numbers or None": lambda: RigidBody((0.0, 0.0, 0.0), rotation=(0.0, None)),
     "the spring is": lambda: RigidBody((0.0, 0.0), spring=(1.0, 2.0, 3.0, 4.0)),
     "not symmetric": lambda: RigidBody((0.0, 0.0), spring=np.triu(np.ones((3, 3)))),

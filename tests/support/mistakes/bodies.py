@@ -78,6 +78,12 @@ def bolted(surfaces=(SLAVE, MASTER), of_blocks=None, **of_bolt):
     return pose
 
 
+@mistake("bolt", "float", "result of a bolt")
+def bolt_that_is_locked_by_a_number(comm):
+    scene = stacked(comm)
+    BoltPreload(scene.facet_tags, SLAVE, MASTER, force=1e3, name="bolt").locked(1e-3)
+
+
 def bent(x):
     return np.array([x[0], x[1] + 0.2 * x[0] * (1 - x[0])])
 

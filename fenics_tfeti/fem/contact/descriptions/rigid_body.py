@@ -147,8 +147,8 @@ class RigidBody:
             is_number(entry) or (free and entry is None) for entry in entries
         )
         if not fits:
-            words = "numbers or None" if free else "finite numbers"
-            raise InputError(
-                f"{self._label}: {name} is {value!r}; {size} {words} are expected, or one for all"
-            )
+            word = "number or None" if free else "finite number"
+            many = f"{size} {word.replace('number', 'numbers')} are expected, or one for all"
+            expected = many if size > 1 else f"a {word} is expected"
+            raise InputError(f"{self._label}: {name} is {value!r}; {expected}")
         return np.array([np.nan if entry is None else entry for entry in entries], dtype=float)

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from fenics_tfeti.errors import InputError, check_value
+from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, checked_label
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import (
@@ -158,6 +158,8 @@ class BoltPreload(SurfacePair):
 
     def locked(self, result: Any) -> BoltPreload:
         """Return the bolt with the shortening of a result in place of its force."""
+        if getattr(result, "shortening", None) is None:
+            raise wrong_type(f"{checked_label(self)}.locked", result, "the result of a bolt")
         return replace(self, force=None, shortening=float(result.shortening))
 
 
