@@ -218,13 +218,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             finally:
                 self._timer.restart()
             self._is_solved = True
-            if not self._has_warned:
-                of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
-                energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
-                energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
-                self._has_warned = warn_of_large_gradients(uh, self._torn.bodies, energy)
-            if self.geometry is None:
-                warn_of_large_rotations(self.space.mesh.comm, self.rigid_bodies)
+            self._has_warned = self._has_warned or self._warn_of_large_motions(uh)
             self._step = replace(self._step, passes=())
             self._save(checkpoint)
             try:
@@ -260,6 +254,15 @@ class ContactProblem(SteppedProblem[ContactReport]):
             self._solver.release()
 
     # -- solutions ---------------------------------------------------------------------------------
+
+    def _warn_of_large_motions(self, uh: Function) -> bool:
+        """Warn of displacement gradients and rotations that are not small; whether there are."""
+        of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
+        energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
+        energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
+        bodies = self.rigid_bodies if self.geometry is None else ()
+        turned = warn_of_large_rotations(self.space.mesh.comm, bodies)
+        return warn_of_large_gradients(uh, of_mesh, energy) or turned
 
     def _solve(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -120,17 +120,18 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     return True
 
 
-def warn_of_large_rotations(comm: MPI.Intracomm, bodies: Sequence[RigidBodyResult]) -> None:
-    """Warn, on rank 0, of rigid bodies whose rotation is not small. Collective."""
+def warn_of_large_rotations(comm: MPI.Intracomm, bodies: Iterable[RigidBodyResult]) -> bool:
+    """Warn, on rank 0, of rigid bodies whose rotation is not small; True if so. Collective."""
+    angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
+    large = {name: angle for name, angle in angles.items() if angle > _LARGE}
     with raise_collectively(comm):
-        for body in bodies if comm.rank == 0 else ():
-            angle = float(np.linalg.norm(body.rotation))
-            if angle > _LARGE:
-                warn_user(
-                    f"{body.name} turns by {angle:.2g} rad, but rotations are small here: its "
-                    "points move along straight lines, and normals stay as they are. "
-                    "geometry=Exact() turns it by any angle"
-                )
+        for name, angle in large.items() if comm.rank == 0 else ():
+            warn_user(
+                f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move "
+                "along straight lines, and normals stay as they are. geometry=Exact() turns it by "
+                "any angle"
+            )
+    return bool(large)
 
 
 def _cell_measures(uh: Function) -> tuple[Vector, Vector]:

@@ -78,7 +78,6 @@ def bolted(surfaces=(SLAVE, MASTER), of_blocks=None, **of_bolt):
     return pose
 
 
-@mistake("bolt", "float", "result of a bolt")
 def bolt_that_is_locked_by_a_number(comm):
     scene = stacked(comm)
     BoltPreload(scene.facet_tags, SLAVE, MASTER, force=1e3, name="bolt").locked(1e-3)
@@ -141,6 +140,8 @@ MISTAKES = [
          "bolt", "force or the shortening"),
         ("axis of a bolt in its cut", bolted(force=1e3, axis=(1.0, 0.0)),
          "bolt", "axis", "in the plane of the cut"),
+        ("bolt that is locked by a number", bolt_that_is_locked_by_a_number,
+         "bolt", "float", "result of a bolt"),
         ("cut of a bolt that is not plane", bolted(of_blocks={"shape": bent}, force=1e3),
          "bolt", "not plane", "2 nodes", "axis"),
         ("sides of a cut with different meshes", bolted(of_blocks={"upper": (3, 2)}, force=1e3),
