@@ -16,7 +16,7 @@ import numpy as np
 from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
 from fenics_tfeti.feti.dual.pcpg import ContactState
 from fenics_tfeti.feti.dual.problem import DualProblem
-from fenics_tfeti.feti.tolerances import ZERO
+from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -93,7 +93,7 @@ class _CoupledRows:
             null = null_space(coupling.gram[rows][:, rows].toarray())
             y = -null @ (null.T @ self._gap[rows])
             largest = np.abs(y).max(initial=0.0)
-            if largest <= ZERO * np.abs(self._gap[rows]).max(initial=0.0):
+            if largest <= rounding(np.abs(self._gap[rows]).max(initial=0.0), MANY):
                 return
             y[np.abs(y) <= ZERO * largest] = 0.0
             step = np.where(coupling.tangential[rows], self._to_bound(rows, y), np.inf)
