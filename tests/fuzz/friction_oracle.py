@@ -289,9 +289,10 @@ class _Measured:
         return np.linalg.norm(self.found.tangential, axis=1)
 
     def _bounds(self) -> Vector:
-        """Return the slip bounds that the contact forces make."""
-        friction = self.friction
-        return friction.bound + friction.coefficient * np.maximum(self.found.force[friction.row], 0)
+        """Return the slip bounds that the contact forces make, those that are rounding none."""
+        friction, force = self.friction, self.found.force
+        pressing = np.where(force > 1e-12 * np.abs(force).max(initial=0.0), force, 0.0)
+        return friction.bound + friction.coefficient * pressing[friction.row]
 
     def _at_bound(self) -> NDArray[np.bool_]:
         """Tell where the friction force is the bound, up to the error of Coulomb's law."""

@@ -27,6 +27,7 @@ NEEDS = {
     ("both", 193): "polished forces of rigid bodies, SMALBE-M",
     ("both", 196): "the solution at rest",
     ("both", 199): "polished forces of rigid bodies",
+    ("both", 337): "no bounds of friction from forces that are rounding",
     ("both", 446): "Newton's method where the sets repeat",
     ("both", 525): "a part of the preconditioner of SMALBE-M for dependent rows",
     ("both", 694): "passes without the residual of the recurrences",
