@@ -59,3 +59,20 @@ def curvature(y: Vector, v: Vector, radius: Vector) -> Vector:
     """
     along = np.maximum(np.sum(v * directions(y), axis=1), 0.0)
     return np.divide(along, radius, out=np.zeros_like(radius), where=radius > 0.0)
+
+
+def longest_steps(quadratic: Vector, linear: Vector, room: Vector) -> Vector:
+    """Return the ends (k,) of the a >= 0 from 0 on with q a^2 - 2 l a <= room.
+
+    With q = |v|^2, l = y'v and room = r^2 - |y|^2 they are those with |y - a v| <= r.
+    """
+    room = np.maximum(room, 0.0)
+    square = linear**2 + quadratic * room
+    root, inwards = np.sqrt(np.maximum(square, 0.0)), linear > 0.0
+    # the smallest positive root, without cancellation for either sign of l
+    far = np.divide(
+        linear + root, quadratic, out=np.full_like(root, np.inf), where=inwards & (quadratic > 0.0)
+    )
+    near = np.divide(room, root - linear, out=np.zeros_like(root), where=~inwards & (root > linear))
+    never = (quadratic <= 0.0) & ((linear == 0.0) | (square < 0.0))
+    return np.where(never, np.inf, np.where(inwards, far, near))

@@ -206,7 +206,8 @@ class Discs:
         """Return the largest a for which this rank's part of x - a p is feasible."""
         speed, (y, distance) = p[self.indices], self._from_centre(x)
         room = (self.radius - distance) * (self.radius + distance)
-        return _longest_step(np.sum(speed**2, axis=1), np.sum(y * speed, axis=1), room)
+        steps = balls.longest_steps(np.sum(speed**2, axis=1), np.sum(y * speed, axis=1), room)
+        return float(steps.min(initial=np.inf))
 
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
         """Return (x - P(x - a g)) / a on the discs, (discs, 2), a the step length."""
@@ -298,13 +299,13 @@ class FrictionCones:
         """Return the largest a for which this rank's part of x - a p is feasible."""
         y, v = x[self.indices], p[self.indices]
         bound, slower = self.radius + self.slope * y[:, 0], self.slope * v[:, 0]
-        side = _longest_step(
+        side = balls.longest_steps(
             np.sum(v[:, 1:] ** 2, axis=1) - slower**2,
             np.sum(y[:, 1:] * v[:, 1:], axis=1) - slower * bound,
             bound**2 - np.sum(y[:, 1:] ** 2, axis=1),
         )
         pressed = v[:, 0] > 0.0
-        return float(np.min(y[pressed, 0] / v[pressed, 0], initial=side))
+        return float(np.min(y[pressed, 0] / v[pressed, 0], initial=side.min(initial=np.inf)))
 
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
         """Return (x - P(x - a g)) / a on the cones, (k, 1 + d), a the step length."""
@@ -458,17 +459,3 @@ class ProductSet:
             0.0 if Ap is None else space.partial(free, Ap),
         )
         return Split(free, boundary, gradient2, boundary2, reduced_free, constraint2, conjugation)
-
-
-def _longest_step(quadratic: Vector, linear: Vector, room: Vector) -> float:
-    """Return the end of the a >= 0 from 0 on with q a^2 - 2 l a <= room, at all of many places."""
-    room = np.maximum(room, 0.0)
-    square = linear**2 + quadratic * room
-    root, inwards = np.sqrt(np.maximum(square, 0.0)), linear > 0.0
-    # the smallest positive root, without cancellation for either sign of l
-    far = np.divide(
-        linear + root, quadratic, out=np.full_like(root, np.inf), where=inwards & (quadratic > 0.0)
-    )
-    near = np.divide(room, root - linear, out=np.zeros_like(root), where=~inwards & (root > linear))
-    never = (quadratic <= 0.0) & ((linear == 0.0) | (square < 0.0))
-    return float(np.min(np.where(never, np.inf, np.where(inwards, far, near)), initial=np.inf))

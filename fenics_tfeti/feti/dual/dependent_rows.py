@@ -17,6 +17,7 @@ from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
 from fenics_tfeti.feti.dual.pcpg import ContactState
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -106,19 +107,10 @@ class _CoupledRows:
             self.on_face &= self._site != self._site[rows[nearest]]
 
     def _to_bound(self, rows: Numbers, y: Vector) -> Vector:
-        """Return the step along y at which the friction force of each row's site is at its bound.
-
-        The positive root of |l + t y|^2 = r^2, without cancellation for either sign of l'y.
-        """
+        """Return the step along y to the bound of the friction force of each row's site."""
         at = np.unique(self._site[rows], return_inverse=True)[1].ravel()
         yy, ly = (np.bincount(at, weights=x)[at] for x in (y**2, y * self.force[rows]))
-        room = np.maximum(self._radius[rows] ** 2 - self._size2[rows], 0.0)
-        root = np.sqrt(ly**2 + yy * room)
-        outwards = ly > 0.0
-        step = np.full(rows.size, np.inf)
-        np.divide(room, root + ly, out=step, where=outwards)
-        np.divide(root - ly, yy, out=step, where=~outwards & (yy > 0.0))
-        return step
+        return balls.longest_steps(yy, -ly, self._radius[rows] ** 2 - self._size2[rows])
 
     def _move(self, rows: Numbers, change: Vector) -> None:
         """Add to the forces of some rows; contact forces stay nonnegative."""
