@@ -113,6 +113,14 @@ class ArrayFile:
             raise InputError(f"{self.path}: {name!r} has shape {array.shape}, expected {expected}")
         return array
 
+    def optional(self, name: str, kind: str, shape: tuple[int | None, ...]) -> Array | None:
+        """Return an array as `read` does, or None if there is no such array."""
+        return self.read(name, kind, shape) if name in self.names else None
+
+    def has_part(self, part: str) -> bool:
+        """Tell whether there are arrays whose names begin with a part and a slash."""
+        return any(name.startswith(f"{part}/") for name in self.names)
+
     def integer(self, name: str) -> int:
         """Return a single integer."""
         return int(self.read(name, "integers", ()))

@@ -242,20 +242,16 @@ def _subdomain(
             f"{file.path}: 'matrices/{matrix}' has {matrices[matrix].shape[0]} rows, but "
             f"subdomain {number} has {nodes.size} nodes with {gdim} unknowns each"
         )
-    frame = None
-    if f"{path}/frame" in file.names:
-        frame = file.read(f"{path}/frame", "numbers", (gdim, gdim))
     kernel: Any = [*file.strings(f"{path}/kernel"), "rigid"][0]
-    if f"{path}/motions" in file.names:
-        kernel = file.read(f"{path}/motions", "numbers", (n, None))
+    motions = file.optional(f"{path}/motions", "numbers", (n, None))
     return Subdomain(
         matrices[matrix],
         file.read(f"{path}/load", "numbers", (n,)),
         file.read(f"{path}/coordinates", "numbers", (nodes.size, gdim)),
         nodes,
         file.integer(f"{path}/body"),
-        frame,
-        kernel,
+        file.optional(f"{path}/frame", "numbers", (gdim, gdim)),
+        kernel if motions is None else motions,
     )
 
 
@@ -274,20 +270,20 @@ def _matrix(file: ArrayFile, number: int) -> sp.csr_matrix:
 
 
 def _prescribed(file: ArrayFile) -> Prescribed:
-    if not any(name.startswith("prescribed/") for name in file.names):
+    if not file.has_part("prescribed"):
         return Prescribed()
     nodes = file.read("prescribed/nodes", "integers", (None,))
-    condition = None
-    if "prescribed/condition" in file.names:
-        condition = file.read("prescribed/condition", "integers", nodes.shape)
-    components = file.read("prescribed/components", "integers", nodes.shape)
-    values = file.read("prescribed/values", "numbers", nodes.shape)
-    return Prescribed(nodes, components, values, condition)
+    return Prescribed(
+        nodes,
+        file.read("prescribed/components", "integers", nodes.shape),
+        file.read("prescribed/values", "numbers", nodes.shape),
+        file.optional("prescribed/condition", "integers", nodes.shape),
+    )
 
 
 def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> ContactRows:
     """Return this rank's contact or tied rows."""
-    if not any(name.startswith(f"{part}/") for name in file.names):
+    if not file.has_part(part):
         return ContactRows.none(gdim)
     gap = file.read(f"{part}/gap", "numbers", (None,))
     nodes = file.read(f"{part}/nodes", "integers", (None,))
@@ -297,30 +293,23 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
             f"{file.path}: '{part}/offsets' has to begin with 0, to end with the number of nodes, "
             f"{nodes.size}, and to increase in between"
         )
-    slaves = None
-    if f"{part}/slaves" in file.names:
-        slaves = file.read(f"{part}/slaves", "integers", gap.shape)
     coefficients = file.read(f"{part}/coefficients", "numbers", (nodes.size, gdim))
     contact = file.read(f"{part}/contact", "integers", gap.shape)
+    slaves = file.optional(f"{part}/slaves", "integers", gap.shape)
     rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves)
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
 
 
 def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     """Return the friction of this rank's contact rows."""
-    has_friction = any(name.startswith("friction/") for name in file.names)
-    if not has_friction or not file.read("friction/row", "integers", (None,)).size:
+    if not file.has_part("friction") or not file.read("friction/row", "integers", (None,)).size:
         return Friction.none(gdim)
     contacts = file.read("contacts/gap", "numbers", (None,)).size
     row = file.read("friction/row", "integers", (None,)).astype(np.int64)
     tangents = file.read("friction/tangents", "numbers", (row.size, gdim - 1, gdim))
     bound = file.read("friction/bound", "numbers", row.shape)
-    slip = np.zeros((row.size, gdim - 1))
-    if "friction/slip" in file.names:
-        slip = file.read("friction/slip", "numbers", slip.shape)
-    coefficient = np.zeros(row.size)
-    if "friction/coefficient" in file.names:
-        coefficient = file.read("friction/coefficient", "numbers", row.shape)
+    slip = file.optional("friction/slip", "numbers", (row.size, gdim - 1))
+    coefficient = file.optional("friction/coefficient", "numbers", row.shape)
     outside = np.flatnonzero((row < 0) | (row >= contacts))
     if outside.size:
         raise InputError(
@@ -330,6 +319,5 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     local_rows = np.array_split(np.arange(contacts), comm.size)[comm.rank]
     local = np.flatnonzero(np.isin(row, local_rows))
     first = int(local_rows[0]) if local_rows.size else 0
-    return Friction(
-        row[local] - first, tangents[local], bound[local], slip[local], coefficient[local]
-    )
+    slip, coefficient = (None if x is None else x[local] for x in (slip, coefficient))
+    return Friction(row[local] - first, tangents[local], bound[local], slip, coefficient)
