@@ -212,11 +212,11 @@ def _check_gaps(what: str, gaps: Vector) -> None:
         )
 
 
-def _check_range(what: str, numbers: Any, first: int, beyond: int) -> None:
-    wrong = np.flatnonzero((numbers < first) | (numbers >= beyond))
+def _check_range(what: str, numbers: Any, beyond: int) -> None:
+    wrong = np.flatnonzero((numbers < 0) | (numbers >= beyond))
     if wrong.size:
         raise InputError(
-            f"{what}: {wrong.size} of {numbers.size} numbers are not in [{first}, {beyond}), the "
+            f"{what}: {wrong.size} of {numbers.size} numbers are not in [0, {beyond}), the "
             f"first is {numbers[wrong[0]]} at position {wrong[0]}"
         )
 
@@ -232,7 +232,7 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
     _check_fields(label, subdomain, np.int64, nodes=(None,))
     if nodes.size == 0:
         raise InputError(f"nodes of {name}: there are none. Leave the subdomain out")
-    _check_range(f"nodes of {name}", nodes, 0, _LARGEST_NODE)
+    _check_range(f"nodes of {name}", nodes, _LARGEST_NODE)
     distinct, count = np.unique(nodes, return_counts=True)
     if distinct.size < nodes.size:
         raise InputError(
@@ -383,9 +383,9 @@ def _check_prescribed(prescribed: Prescribed, gdim: int) -> None:
     shape = prescribed.nodes.shape
     _check_fields("prescribed.FIELD", prescribed, np.int64, components=shape, condition=shape)
     _check_fields("prescribed.FIELD", prescribed, np.float64, values=shape)
-    _check_range("prescribed.nodes", prescribed.nodes, 0, _LARGEST_NODE)
-    _check_range("prescribed.components", prescribed.components, 0, gdim)
-    _check_range("prescribed.condition", prescribed.condition, 0, _MOST_CONDITIONS)
+    _check_range("prescribed.nodes", prescribed.nodes, _LARGEST_NODE)
+    _check_range("prescribed.components", prescribed.components, gdim)
+    _check_range("prescribed.condition", prescribed.condition, _MOST_CONDITIONS)
     _check_finite("prescribed displacements", prescribed.values)
 
 
@@ -396,9 +396,9 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     k = rows.size
     shapes: dict[str, Shape] = {"nodes": (None,), "offsets": (k + 1,)}
     _check_fields(label, rows, np.int64, contact=(k,), slaves=(k,), **shapes)
-    _check_range(f"{what}.contact", rows.contact, 0, np.iinfo(np.int64).max)
+    _check_range(f"{what}.contact", rows.contact, np.iinfo(np.int64).max)
     _check_offsets(what, rows, names)
-    _check_range(f"{what}.nodes", rows.nodes, 0, _LARGEST_NODE)
+    _check_range(f"{what}.nodes", rows.nodes, _LARGEST_NODE)
     _check_distinct_nodes(what, rows, names)
     _check_fields(label, rows, np.float64, coefficients=(rows.nodes.size, gdim))
     _check_finite(f"{what}.coefficients", rows.coefficients)
@@ -475,7 +475,7 @@ def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> Non
         "coefficient": (rows,),
     }
     _check_fields("friction.FIELD", friction, np.float64, **shapes)
-    _check_range("friction.row", friction.row, 0, contacts.size)
+    _check_range("friction.row", friction.row, contacts.size)
     if np.any(np.diff(friction.row) <= 0):
         raise InputError("friction.row: positions must ascend, each contact row once")
     for field in shapes:

@@ -77,15 +77,10 @@ class GramInverse:
         Z = (coarse_space.coarse_motions(weak) - follow) @ normalize
         return replace(self, motions=Z, rows=W @ normalize)
 
-    @property
-    def is_corrected(self) -> bool:
-        """True if there are motions that the rows resist weakly."""
-        return bool(self.motions.shape[1])
-
     def weak_part(self, x: Vector) -> Vector:
         """Return W'x for a vector on the rows; one reduction, if there are such motions."""
         part: Vector = self.rows[: self.layout.owned].T @ x[: self.layout.owned]
-        return self.layout.space.sum_over_ranks(part) if self.is_corrected else part
+        return self.layout.space.sum_over_ranks(part) if part.size else part
 
 
 def _pins(

@@ -151,12 +151,6 @@ class Constraints:
         rows[self.inequality] = active
         return rows
 
-    def on_inequalities(self, values: Vector | NDArray[np.bool_]) -> Vector:
-        """Return a vector (m,) with values (i,) on the inequality rows, zero elsewhere."""
-        x = np.zeros(self.size)
-        x[self.inequality] = values
-        return x
-
     @property
     def owned_inequalities(self) -> int:
         """Number of inequality rows that this rank owns; they come first."""
