@@ -32,13 +32,12 @@ from fenics_tfeti.feti.report.report import Report, build_report
 from fenics_tfeti.feti.report.resultants import tangential_forces
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
-from fenics_tfeti.feti.solution.scale import LANCZOS_STEPS, EnergyScale, FeasibleState
+from fenics_tfeti.feti.solution.outer import dual_problem
 from fenics_tfeti.feti.solution.setup import (
     DualSetup,
     LocalSetup,
     SolveContext,
     choose_factor,
-    dual_problem,
     factor_subdomains,
 )
 from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
@@ -298,14 +297,8 @@ class TornSolver:
 
         It is that with F and d themselves, without deflation.
         """
-        setup, data = self.setup.without_deflation(), self.data
-        feasible = FeasibleState.of(setup, data)
-        shortened = np.zeros(setup.constraints.inequality.size, dtype=bool)
-        monitor = Monitor(History(), self.system.comm)
-        context = SolveContext(setup, data, self.options, self.timer, monitor)
-        scale = EnergyScale.of(context, feasible, shortened)
-        loads = setup.load(data), feasible.jumps - data.c
-        return dual_problem(setup, data, loads, setup.norm(LANCZOS_STEPS), scale.energy_norm)
+        setup, monitor = self.setup.without_deflation(), Monitor(History(), self.system.comm)
+        return dual_problem(SolveContext(setup, self.data, self.options, self.timer, monitor))
 
     def release(self) -> None:
         """Free the factors and the stiffness matrices of this solver, which cannot solve then.

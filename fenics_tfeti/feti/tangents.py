@@ -33,7 +33,7 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import FactorizationError, InputError, format_point
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
 from fenics_tfeti.feti.coarse.resistance import weak_motions
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky, choose_package
+from fenics_tfeti.feti.factors.cholesky import SparseFactor, choose_package, sparse_cholesky
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import forces_of_motions
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
@@ -192,7 +192,7 @@ def _semidefinite(stiffness: sp.csr_matrix, coordinates: Vector, R: Vector) -> s
             interior = None
             if rest.size:
                 inside = K[rest][:, rest].tocsr()
-                interior = SparseCholesky(inside, package, width=coordinates.shape[1])
+                interior = sparse_cholesky(inside, package, width=coordinates.shape[1])
         except FactorizationError:
             number *= 2
         else:
@@ -219,7 +219,7 @@ def _projected(
 
 
 def _without_negative_energies(
-    K: sp.csr_matrix, R: Vector, fixed: Numbers, rest: Numbers, interior: SparseCholesky | None
+    K: sp.csr_matrix, R: Vector, fixed: Numbers, rest: Numbers, interior: SparseFactor | None
 ) -> sp.csr_matrix:
     """Return K with the absolute eigenvalues of its Schur complement on the fixed unknowns.
 

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 from fenics_tfeti.parallel import all_to_all, concatenate_buffers
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -176,21 +176,26 @@ class CoarseLayout:
         """
         solver: AgglomeratedCholesky | MultigridSolver
         if self.solver == "redundant" or not self.size:
-            whole = SparseCholesky(rows.tocsr(), self.package, quick=True) if self.size else None
+            whole = sparse_cholesky(rows.tocsr(), self.package, quick=True) if self.size else None
             return CoarseFactor(self, whole)
         if self.solver == "iterative":
             solver = MultigridSolver(self.comm, rows, *motions_for_multigrid(), self.groups)
         else:
             solver = AgglomeratedCholesky(self.comm, rows, self.groups)
-        return _FactorByRows(self, solver)
+        return CoarseFactor(self, solver, by_rows=True)
 
 
 @dataclass(frozen=True)
 class CoarseFactor:
-    """A factored coarse matrix, whole on every rank: one reduction of a vector for each solve."""
+    """A factored coarse matrix, whole on every rank or by rows.
+
+    A solve for a sum has one reduction of a whole vector. By rows it has one exchange of coarse
+    unknowns, and the solver's own.
+    """
 
     layout: CoarseLayout
     solver: Any  # None of a matrix of order 0: no subdomain can move
+    by_rows: bool = False
 
     @property
     def entries(self) -> int:
@@ -199,11 +204,18 @@ class CoarseFactor:
 
     def solve(self, coarse: Vector) -> Vector:
         """Solve for a vector, or the columns of a matrix, that every rank has; so it has all."""
-        solution: Vector = self.solver.solve(coarse) if self.solver else coarse
-        return solution
+        if not self.by_rows:
+            solution: Vector = self.solver.solve(coarse) if self.solver else coarse
+            return solution
+        own = coarse[self.layout.own]
+        solved = np.array([self.solver.solve(column) for column in np.atleast_2d(own.T)])
+        return self.layout.gather(solved.T.reshape(own.shape))
 
     def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
         """Solve, given this rank's part; return that of `own` and of `others` in the solution."""
+        if self.by_rows:
+            solution = self.solver.solve(own)
+            return solution, self.layout.fetch(solution)
         solution = self.solve(self.layout.gather(own))
         return solution[self.layout.own], solution[self.layout.others]
 
@@ -214,27 +226,13 @@ class CoarseFactor:
         The numbers (k,) are summed over the ranks in the same reduction; their sums are returned as
         well.
         """
+        if self.by_rows:
+            sums = numbers.copy()
+            if numbers.size:
+                self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
+            return self.solver.solve(self.layout.sum_own(own, others)), sums
         coarse, sums = self.layout.sum_whole(own, others, numbers)
         return self.solve(coarse)[self.layout.own], sums
-
-
-class _FactorByRows(CoarseFactor):
-    """A rank has its own rows alone: a solve has one exchange of coarse unknowns, and its own."""
-
-    def solve(self, coarse: Vector) -> Vector:
-        own = coarse[self.layout.own]
-        solved = np.array([self.solver.solve(column) for column in np.atleast_2d(own.T)])
-        return self.layout.gather(solved.T.reshape(own.shape))
-
-    def solve_own(self, own: Vector) -> tuple[Vector, Vector]:
-        solution = self.solver.solve(own)
-        return solution, self.layout.fetch(solution)
-
-    def solve_sum(self, own: Vector, others: Vector, numbers: Vector) -> tuple[Vector, Vector]:
-        sums = numbers.copy()
-        if numbers.size:
-            self.layout.comm.Allreduce(MPI.IN_PLACE, sums)
-        return self.solver.solve(self.layout.sum_own(own, others)), sums
 
 
 def choose_coarse_solver(ranks: int, size: int, mumps: bool = True) -> CoarseSolverKind:

@@ -25,7 +25,7 @@ from fenics_tfeti.feti.constraints.coupling import GramInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Operator, Vector
@@ -99,7 +99,7 @@ class DeluxeScaling:
         layout, coupling = self.F.constraints.layout, self.F.constraints.coupling
         part = self.others[np.flatnonzero(rows[: layout.owned])]
         A = self.gram - layout.comm.allreduce((part.T @ part).tocsr())
-        factor = SparseCholesky((A - _weighted_gram(self.coupled, inverse)).tocsr(), self.package)
+        factor = sparse_cholesky((A - _weighted_gram(self.coupled, inverse)).tocsr(), self.package)
 
         def of_uncoupled(x: Vector) -> Vector:
             x = np.where(rows, x, 0.0)

@@ -25,7 +25,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -96,7 +96,7 @@ class DirectFaces:
         support = K.diagonal()
         support[support == 0.0] = support.max()  # of rigid bodies
         A = K + B.T @ sp.diags(1.0 / D) @ B + _SUPPORT * sp.diags(support)
-        factor = SparseCholesky(A.tocsr(), self.package)
+        factor = sparse_cholesky(A.tocsr(), self.package)
 
         def solve(x: Vector) -> Vector:
             y = (C @ x) / D

@@ -24,7 +24,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.direct_faces import DirectFaces
 from fenics_tfeti.feti.dual.operator import DualOperator
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
@@ -261,7 +261,7 @@ def _reaction(
         return partial(times_rows, K_bb)
     K_bi = rows[:, interior].tocsr()
     K_ib = K_bi.T.tocsr()
-    factor = SparseCholesky(_held_interior(K, R, local, interior), package)
+    factor = sparse_cholesky(_held_interior(K, R, local, interior), package)
 
     def schur_complement(u: Vector) -> Vector:
         follow = factor.solve(K_ib @ u.T if len(u) > 1 else K_ib @ u[0])

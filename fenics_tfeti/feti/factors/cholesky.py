@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -60,25 +61,23 @@ def available_packages() -> list[str]:
     return [package for package in _PREFERENCE if _is_available(package)]
 
 
-def choose_package(package: Package, available: Sequence[str] | None = None) -> str:
+def choose_package(package: Package) -> str:
     """Return the name of the package to use.
 
     CHOLMOD solves with a factor of a few thousand unknowns fastest. rslab factors and solves as
     fast as MUMPS, in less memory and without its MPI communicators, which limit the number of
-    factors. "auto" takes the first that is available, by default of those installed. Raises
-    `FactorizationError` if the package is not available, and `InputError` if PETSc computes with
-    complex numbers.
+    factors. "auto" takes the first that is installed. Raises `FactorizationError` if the package
+    is not installed, and `InputError` if PETSc computes with complex numbers.
     """
     check_real_numbers()
-    if available is None:
-        available = available_packages()
+    available = available_packages()
     if package == "auto" and available:
         return available[0]
     if package in available:
         return package
     raise FactorizationError(
         f"there is no sparse Cholesky factorisation by {package!r}; available are "
-        f"{list(available) or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', "
+        f"{available or 'neither CHOLMOD nor rslab nor MUMPS'}. Choose another 'factor', "
         "install a PETSc with CHOLMOD or MUMPS (Debian: python3-petsc4py-real, conda-forge: "
         "petsc4py), or 'pip install rslab'"
     )
@@ -137,11 +136,11 @@ class _Unusable(Exception):
     """A package cannot factor the matrix, or the factor is of no use; the text says how."""
 
 
+@dataclass(frozen=True)
 class SparseFactor:
     """The solves with a factor by any package."""
 
-    def __init__(self, factor: _Factor) -> None:
-        self._factor = factor
+    _factor: _Factor
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,) or, column by column, for a matrix (n, k)."""
@@ -170,19 +169,15 @@ class SparseFactor:
         """Number of negative eigenvalues; unknown to CHOLMOD, which factors definite matrices."""
         return self._factor.negative
 
-    def _check_by_a_solve(self, matrix: Operator, size: int, useless: float = _USELESS) -> float:
-        """Find inaccurate factors of a matrix, and return the energy b'x of the probe."""
-        b = matrix(np.random.default_rng(0).standard_normal(size))
-        x = self.solve(b)
-        with np.errstate(invalid="ignore", over="ignore"):
-            residual = np.linalg.norm(matrix(x) - b) / np.linalg.norm(b)
-            if not residual <= useless:
-                raise _Unusable(f"relative residual {residual:.1e}")
-            return float(b @ x)
 
-
-class SparseCholesky(SparseFactor):
-    """The factor of a sparse symmetric positive definite matrix.
+def sparse_cholesky(
+    matrix: sp.csr_matrix,
+    package: str,
+    quick: bool = False,
+    width: int = 1,
+    name: Hashable = None,
+) -> SparseFactor:
+    """Factor a sparse symmetric positive definite matrix.
 
     The matrix has both triangles; `FactorizationError` if it is not positive definite. Its unknowns
     are those of nodes, `width` each. A matrix with a name may take CHOLMOD's ordering of the last
@@ -193,97 +188,95 @@ class SparseCholesky(SparseFactor):
     Examples
     --------
     >>> import numpy as np, scipy.sparse as sp
-    >>> factor = SparseCholesky(sp.csr_matrix(np.diag([1.0, 2.0])), choose_package("auto"))
+    >>> factor = sparse_cholesky(sp.csr_matrix(np.diag([1.0, 2.0])), choose_package("auto"))
     >>> factor.solve(np.array([3.0, 4.0])).round(12).tolist()
     [3.0, 2.0]
     """
-
-    def __init__(
-        self,
-        matrix: sp.csr_matrix,
-        package: str,
-        quick: bool = False,
-        width: int = 1,
-        name: Hashable = None,
-    ) -> None:
-        try:
-            super().__init__(_factor(matrix, package, quick, width=width, name=name))
-            if package != "cholmod" and self._factor.negative:
-                raise _Unusable(f"{self._factor.negative} negative pivots")
-            # CHOLMOD's failures, which PETSc does not pass on
-            if not self._check_by_a_solve(matrix.dot, matrix.shape[0]) > 0.0:
-                raise _Unusable("negative energy")
-        except _Unusable as error:
-            raise FactorizationError(
-                f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
-                f"{matrix.shape[0]} is not positive definite"
-            ) from error
+    try:
+        factor = SparseFactor(_factor(matrix, package, quick, width=width, name=name))
+        if package != "cholmod" and factor.negative:
+            raise _Unusable(f"{factor.negative} negative pivots")
+        # CHOLMOD's failures, which PETSc does not pass on
+        if not _energy_of_probe(factor, matrix.dot, matrix.shape[0]) > 0.0:
+            raise _Unusable("negative energy")
+    except _Unusable as error:
+        raise FactorizationError(
+            f"the Cholesky factorisation by {package} failed ({error}): the matrix of order "
+            f"{matrix.shape[0]} is not positive definite"
+        ) from error
+    return factor
 
 
-class DowndatedCholesky(SparseFactor):
-    """The inverse of A - UU', which may be indefinite, by a Cholesky factor; its inertia.
+def downdated_cholesky(
+    matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1, name: Hashable = None
+) -> SparseFactor:
+    """Return the inverse of A - UU', which may be indefinite, by a Cholesky factor; its inertia.
 
-    A (n, n) is as for `SparseCholesky`, and U (n, k) has few columns. Where A has a few negative
+    A (n, n) is as for `sparse_cholesky`, and U (n, k) has few columns. Where A has a few negative
     eigenvalues, springs are added that make it positive definite, in place, and taken off again by
     further columns of U. `FactorizationError` if there are more of them, if A - UU' is singular, or
     where CHOLMOD's solves are not compiled.
     """
-
-    def __init__(
-        self,
-        matrix: sp.csr_matrix,
-        U: Vector,
-        package: str,
-        width: int = 1,
-        name: Hashable = None,
-    ) -> None:
-        try:
-            library = supernodal_library()[0] if package == "cholmod" else None
-            if library is None:
-                raise _Unusable("it needs CHOLMOD with compiled solves")
-            # the springs are added to these arrays
-            matrix.sort_indices()
-            spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
-            factor = SupernodalFactor(library, matrix, width, methods, name, spring, _SPRINGS)
-            held = np.zeros((matrix.shape[0], factor.held.size))
-            held[factor.held, np.arange(factor.held.size)] = np.sqrt(spring)
-            U = np.hstack([U, held])
-            super().__init__(DowndatedFactor(factor, U))
-            self._check_by_a_solve(lambda x: matrix @ x - U @ (U.T @ x), matrix.shape[0], _ACCURATE)
-        except (NotDefinite, _Unusable) as error:
-            raise FactorizationError(
-                f"the downdated Cholesky factorisation by {package} failed ({error})"
-            ) from error
+    try:
+        library = supernodal_library()[0] if package == "cholmod" else None
+        if library is None:
+            raise _Unusable("it needs CHOLMOD with compiled solves")
+        # the springs are added to these arrays
+        matrix.sort_indices()
+        spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
+        A = SupernodalFactor(library, matrix, width, methods, name, spring, _SPRINGS)
+        held = np.zeros((matrix.shape[0], A.held.size))
+        held[A.held, np.arange(A.held.size)] = np.sqrt(spring)
+        U = np.hstack([U, held])
+        factor = SparseFactor(DowndatedFactor(A, U))
+        _energy_of_probe(factor, lambda x: matrix @ x - U @ (U.T @ x), matrix.shape[0], _ACCURATE)
+    except (NotDefinite, _Unusable) as error:
+        raise FactorizationError(
+            f"the downdated Cholesky factorisation by {package} failed ({error})"
+        ) from error
+    return factor
 
 
-class SparseLDL(SparseFactor):
-    """The LDL' factor of a sparse symmetric matrix that may be indefinite, with its inertia.
+def sparse_ldl(matrix: sp.csr_matrix) -> SparseFactor:
+    """Return the LDL' factor of a sparse symmetric matrix that may be indefinite; its inertia.
 
     It is by rslab or MUMPS: CHOLMOD does not pivot. `FactorizationError` if the matrix is singular.
 
     Examples
     --------
     >>> import numpy as np, scipy.sparse as sp
-    >>> factor = SparseLDL(sp.csr_matrix(np.diag([1.0, -2.0])))
+    >>> factor = sparse_ldl(sp.csr_matrix(np.diag([1.0, -2.0])))
     >>> factor.solve(np.array([3.0, 4.0])).tolist(), factor.negative
     ([3.0, -2.0], 1)
     """
+    package = next((p for p in ("rslab", "mumps") if _is_available(p)), None)
+    if package is None:
+        raise FactorizationError(
+            "an indefinite tangent needs a symmetric indefinite factor, which CHOLMOD has not: "
+            "install a PETSc with MUMPS, or 'pip install rslab'"
+        )
+    try:
+        factor = SparseFactor(_factor(matrix, package, definite=False))
+        _energy_of_probe(factor, matrix.dot, matrix.shape[0])
+    except _Unusable as error:
+        raise FactorizationError(
+            f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
+            f"{matrix.shape[0]} is singular"
+        ) from error
+    return factor
 
-    def __init__(self, matrix: sp.csr_matrix) -> None:
-        package = next((p for p in ("rslab", "mumps") if _is_available(p)), None)
-        if package is None:
-            raise FactorizationError(
-                "an indefinite tangent needs a symmetric indefinite factor, which CHOLMOD has not: "
-                "install a PETSc with MUMPS, or 'pip install rslab'"
-            )
-        try:
-            super().__init__(_factor(matrix, package, definite=False))
-            self._check_by_a_solve(matrix.dot, matrix.shape[0])
-        except _Unusable as error:
-            raise FactorizationError(
-                f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
-                f"{matrix.shape[0]} is singular"
-            ) from error
+
+def _energy_of_probe(
+    factor: SparseFactor, matrix: Operator, size: int, useless: float = _USELESS
+) -> float:
+    """Return the energy b'x of a solve, and find inaccurate factors of a matrix by it."""
+    b = matrix(np.random.default_rng(0).standard_normal(size))
+    x = factor.solve(b)
+    with np.errstate(invalid="ignore", over="ignore"):
+        residual = np.linalg.norm(matrix(x) - b) / np.linalg.norm(b)
+        if not residual <= useless:
+            raise _Unusable(f"relative residual {residual:.1e}")
+        return float(b @ x)
 
 
 def _factor(

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 
 from fenics_tfeti.errors import FactorizationError, format_point
 from fenics_tfeti.feti.factors.cholesky import (
-    DowndatedCholesky,
-    SparseCholesky,
     SparseFactor,
-    SparseLDL,
+    downdated_cholesky,
+    sparse_cholesky,
+    sparse_ldl,
 )
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
@@ -52,7 +52,7 @@ def _indefinite_factor(
     package: str,
     gdim: int,
     name: Hashable,
-) -> DowndatedCholesky | SparseLDL:
+) -> SparseFactor:
     """Return the factor of K + rho Q of a tangent K, whose kernel R is a part of its rigid motions.
 
     Where the other rigid motions alone have negative energies, as under pressure, K with all of
@@ -64,9 +64,9 @@ def _indefinite_factor(
     U = np.zeros((K.shape[0], rigid.shape[1] - R.shape[1]))
     U[fixed] = np.sqrt(K.diagonal().max()) * left[:, : U.shape[1]]
     try:
-        return DowndatedCholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, name)
+        return downdated_cholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, name)
     except FactorizationError:
-        return SparseLDL(regularized_stiffness(K, R, fixed))
+        return sparse_ldl(regularized_stiffness(K, R, fixed))
 
 
 class GeneralizedInverse:
@@ -105,7 +105,7 @@ class GeneralizedInverse:
             fixed = unknowns_of_nodes(fixing_nodes(x, held, number, images), gdim)
             if is_definite:
                 regularized = regularized_stiffness(K, R, fixed)
-                self._factor = SparseCholesky(regularized, package, width=gdim, name=name)
+                self._factor = sparse_cholesky(regularized, package, width=gdim, name=name)
             else:
                 self._factor = indefinite = _indefinite_factor(
                     K, R, held, fixed, package, gdim, name

@@ -42,7 +42,7 @@ from fenics_tfeti.feti.solution.scale import (
     EnergyScale,
     FeasibleState,
 )
-from fenics_tfeti.feti.solution.setup import SolveContext, dual_problem
+from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
 from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.qp import balls
@@ -80,6 +80,13 @@ def iterate_until_certified(context: SolveContext, start: Iterate | None) -> Out
             candidate = _moved(outcome.candidate, data, motion)
             return replace(outcome, candidate=candidate)
         longest, start = FAR * longest, outcome.start
+
+
+def dual_problem(context: SolveContext) -> DualProblem:
+    """Return (11.36) with an upper bound of ||PFP||. Collective."""
+    shortened = np.zeros(context.setup.constraints.inequality.size, dtype=bool)
+    feasible = FeasibleState.of(context.setup, context.data)
+    return _Loop.begin(context, shortened, feasible).problem(LANCZOS_STEPS)
 
 
 def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
@@ -203,9 +210,7 @@ class _Loop:
             sticking = balls.inside(forces, data.radius)
             face = Projector.build(setup.projector.coarse_space, active, sticking)
             recovered = Recovered(none, none, none, -data.c, active, sticking)
-            certificate, energy = self.primal.certify(recovered, multipliers, face)
-            slips = self.primal.slips(recovered)
-        candidate = Candidate(recovered, multipliers, certificate, energy, face, slips, data.radius)
+            candidate = self._certified(recovered, multipliers, face)
         return Outcome(candidate, Iterate(multipliers), SolveStatus.SOLVED, "converged", 0.0)
 
     def first(self, start: Iterate | None) -> Iterate:
@@ -255,7 +260,7 @@ class _Loop:
     def _run(self, method: Method, iterate: Iterate, turn: Turn) -> Iterate:
         """Run a method for its turn."""
         by_smalbe = method is Method.SMALBE
-        problem = self._problem(LANCZOS_STEPS if by_smalbe else ROUGH_LANCZOS_STEPS)
+        problem = self.problem(LANCZOS_STEPS if by_smalbe else ROUGH_LANCZOS_STEPS)
         run = {
             Method.ACTIVE_SET: primal_dual_active_set,
             Method.NEWTON: proximal_newton,
@@ -291,9 +296,13 @@ class _Loop:
             recovered = recover_displacement(
                 setup.F, face, data.load, data.c, multipliers, setup.local.unit
             )
-            certificate, energy = self.primal.certify(recovered, multipliers, face)
-            slips = self.primal.slips(recovered)
-        return Candidate(recovered, multipliers, certificate, energy, face, slips, data.radius)
+            return self._certified(recovered, multipliers, face)
+
+    def _certified(self, recovered: Recovered, multipliers: Vector, face: Projector) -> Candidate:
+        """Measure how well displacements and multipliers solve (11.21)."""
+        certificate, energy = self.primal.certify(recovered, multipliers, face)
+        slips, radius = self.primal.slips(recovered), self.context.data.radius
+        return Candidate(recovered, multipliers, certificate, energy, face, slips, radius)
 
     def _completed(self, multipliers: Vector) -> Vector:
         """Return the multipliers with their part in the deflated directions."""
@@ -309,8 +318,24 @@ class _Loop:
         with self.context.timer.phase("iterations"):
             return setup.load(self.context.data), setup.reduced(self.d_0)
 
-    def _problem(self, lanczos_steps: int) -> DualProblem:
-        setup = self.context.setup
+    def problem(self, lanczos_steps: int) -> DualProblem:
+        """Return (11.36), deflated or not."""
+        setup, data = self.context.setup, self.context.data
         with self.context.timer.phase("norm"):
             norm = setup.norm(lanczos_steps)
-        return dual_problem(setup, self.context.data, self._loads, norm, self.scale.energy_norm)
+        d, d_0 = self._loads
+        return DualProblem(
+            setup.part,
+            d,
+            data.e,
+            data.e_size,
+            data.c,
+            setup.projector,
+            norm,
+            setup.preconditioner,
+            data.radius,
+            setup.local.unit,
+            data.feasible,
+            d_0,
+            self.scale.energy_norm,
+        )

@@ -40,7 +40,6 @@ from fenics_tfeti.feti.dual.preconditioner import (
     interface_reactions,
     lumped_excess,
 )
-from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.factors.cholesky import choose_package
 from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
 from fenics_tfeti.feti.local.elastic_supports import set_free
@@ -430,37 +429,12 @@ class SolveContext:
     body_names: Sequence[str] = ()
 
 
-def dual_problem(
-    setup: DualSetup,
-    data: ContactData,
-    loads: tuple[Vector, Vector],
-    norm: float,
-    energy_norm: float,
-) -> DualProblem:
-    """Return (11.36), deflated or not; `loads` are d and d_0."""
-    return DualProblem(
-        setup.part,
-        loads[0],
-        data.e,
-        data.e_size,
-        data.c,
-        setup.projector,
-        norm,
-        setup.preconditioner,
-        data.radius,
-        setup.local.unit,
-        data.feasible,
-        loads[1],
-        energy_norm,
-    )
-
-
-def choose_factor(options: Options, available: Sequence[str] | None = None) -> str:
-    """Return the package of the sparse Cholesky factors, of those that are available.
+def choose_factor(options: Options) -> str:
+    """Return the package of the sparse Cholesky factors.
 
     `FactorizationError` is raised if it is not available, or if MUMPS is needed for the coarse
     problem and missing.
     """
     if options.coarse_solver in ("distributed", "iterative"):
-        choose_package("mumps", available)
-    return choose_package(options.factor, available)
+        choose_package("mumps")
+    return choose_package(options.factor)

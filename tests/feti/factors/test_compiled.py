@@ -12,9 +12,9 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.factors import compiled
 from fenics_tfeti.feti.factors.cholesky import (
-    SparseCholesky,
     available_packages,
     describe_package,
+    sparse_cholesky,
 )
 from fenics_tfeti.feti.factors.compiled import supernodal_library
 
@@ -77,7 +77,7 @@ def test_without_a_compiler_petsc_solves(new_cache, tmp_path, monkeypatch, compi
     monkeypatch.setenv("CC", command)
     assert reason in describe_package("cholmod")
     assert "solves by PETSc" in describe_package("cholmod")
-    factor = SparseCholesky(A, "cholmod")
+    factor = sparse_cholesky(A, "cholmod")
     assert factor.between(np.arange(2)) is None
     assert factor.solve(np.array([2.0, 8.0])).tolist() == [1.0, 2.0]
     assert not list(new_cache.glob("*.so"))

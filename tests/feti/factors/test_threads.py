@@ -15,14 +15,14 @@ from fenics_tfeti.feti.factors.threads import one_thread, openmp
 FACTOR = """
 import os
 import numpy as np, scipy.sparse as sp
-from fenics_tfeti.feti.factors.cholesky import SparseCholesky
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 def number():
     return len(os.listdir("/proc/self/task"))
 n = 12  # a cube of nodes: large enough for supernodes
 line = sp.diags([-1.0, 2.0, -1.0], [-1, 0, 1], (n, n))
 A = sp.kronsum(sp.kronsum(line, line), line) + sp.identity(n**3)
 before = number()
-SparseCholesky(A.tocsr(), "cholmod")
+sparse_cholesky(A.tocsr(), "cholmod")
 print(number() - before)
 """
 
