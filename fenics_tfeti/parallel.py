@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TextIO, TypeVar
+from typing import Any, TextIO, TypeVar
 
 from mpi4py import MPI
 
@@ -84,6 +84,23 @@ def first_of_rank(comm: MPI.Intracomm, count: int) -> tuple[int, int]:
     return sum(counts[: comm.rank]), sum(counts)
 
 
+def any_rank(comm: MPI.Intracomm, mask: Any) -> bool:
+    """Tell, with one answer on all ranks, whether an entry of a mask is true on any. Collective."""
+    return bool(comm.allreduce(bool(np.any(mask)), MPI.LOR))
+
+
+def largest_of_ranks(comm: MPI.Intracomm, values: Vector | float) -> float:
+    """Return the largest of numbers of all ranks, 0 if there is none above. Collective."""
+    largest = np.array([np.max(values, initial=0.0)])
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    return float(largest[0])
+
+
+def count_over_ranks(comm: MPI.Intracomm, numbers: Numbers) -> int:
+    """Return how many things there are whose numbers 0, 1, ... the ranks have. Collective."""
+    return int(comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX)) + 1
+
+
 def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
     """Send a message to each rank, uncopied to itself; return those that arrive, by rank."""
     to_others = [None if rank == comm.rank else m for rank, m in enumerate(messages)]
@@ -120,7 +137,7 @@ class Directory:
 
     def __init__(self, comm: MPI.Intracomm, keys: Numbers) -> None:
         self._comm = comm
-        limit = comm.allreduce(int(keys.max(initial=-1)), MPI.MAX) + 1
+        limit = count_over_ranks(comm, keys)
         self._chunk = max(1, -(-limit // comm.size))
         received = all_to_all(comm, _by_rank(comm, self._home(keys), [keys])[0])
         ranks = np.repeat(np.arange(comm.size), [rows[0].size for rows in received])

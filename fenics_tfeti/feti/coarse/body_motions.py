@@ -16,6 +16,7 @@ from fenics_tfeti.feti.local.frames import in_frame, out_of_frame
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FEW, MANY, NEGLIGIBLE, rounding
+from fenics_tfeti.parallel import count_over_ranks, largest_of_ranks
 from fenics_tfeti.typing import Vector
 
 
@@ -114,7 +115,7 @@ def _motions_and_supports(
     ]
     supports: Vector = np.array(scaled).reshape(bodies, modes, modes)
     supports[np.abs(supports) <= rounding(1.0, MANY)] = 0.0
-    return basis, supports, float(comm.allreduce(distance, MPI.MAX))
+    return basis, supports, largest_of_ranks(comm, distance)
 
 
 def _orthonormal_motions(gram: Vector) -> Vector:
@@ -132,8 +133,7 @@ def _orthonormal_motions(gram: Vector) -> Vector:
 
 def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
     """Return the mean places (bodies, gdim), sizes and numbers of nodes of all bodies."""
-    largest = max((s.body for s in system.subdomains), default=-1)
-    bodies = system.comm.allreduce(largest, MPI.MAX) + 1
+    bodies = count_over_ranks(system.comm, system.bodies)
     sums, counts = np.zeros((bodies, system.gdim)), np.zeros(bodies)
     for subdomain in system.subdomains:
         sums[subdomain.body] += subdomain.coordinates.sum(axis=0)

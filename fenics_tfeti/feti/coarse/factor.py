@@ -17,7 +17,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
-from fenics_tfeti.parallel import all_to_all, concatenate_buffers
+from fenics_tfeti.parallel import all_to_all, concatenate_buffers, largest_of_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
 CoarseSolverKind = Literal["auto", "redundant", "distributed", "iterative"]
@@ -152,9 +152,7 @@ class CoarseLayout:
 
     def largest_diagonal(self, rows: sp.csr_matrix) -> float:
         """Return the largest diagonal entry of a matrix, given the rows that this rank keeps."""
-        largest = np.array([rows.diagonal(self.first if self.by_rows else 0).max(initial=0.0)])
-        self.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        return float(largest[0])
+        return largest_of_ranks(self.comm, rows.diagonal(self.first if self.by_rows else 0))
 
     def add_to_diagonal(self, rows: sp.csr_matrix, diagonal: Vector) -> sp.csr_matrix:
         """Return the rows that this rank keeps with numbers (size,) added to the diagonal."""

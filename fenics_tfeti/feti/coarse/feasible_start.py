@@ -94,7 +94,7 @@ def _contact_forces(
     constraints = coarse_space.constraints
     multipliers = np.zeros(constraints.size)
     # the ranks' columns side by side: as many as contact rows, not as unknowns
-    owned = constraints.inequality[: constraints.owned_inequalities]
+    owned = constraints.owned_contact_rows
     moved, gaps = _moved_rows(coarse_space, group.motions)[owned], gaps[: owned.size]
     # rows of other groups, and those that cannot close, take no part
     apart = ~np.isfinite(gaps) | (np.diff(moved.indptr) == 0)
@@ -139,10 +139,10 @@ def _forces_with_friction(
     constraints, comm = coarse_space.constraints, coarse_space.comm
     multipliers, friction = np.zeros(constraints.size), constraints.friction
     moved_rows = _moved_rows(coarse_space, group.motions)
-    owned = constraints.inequality[: constraints.owned_inequalities]
+    owned = constraints.owned_contact_rows
     closing = np.isfinite(gaps[: owned.size])
     pressing, first = _side_by_side(comm, sp.diags(closing.astype(float)) @ moved_rows[owned])
-    mine = friction.owned(constraints.layout.owned)
+    mine = constraints.owned_sites
     present = friction.present[mine]
     # a direction without a row is a column of zeros
     rubbing, first_rubbing = _side_by_side(

@@ -7,12 +7,11 @@ jumps that the iterations close, of this body or of others.
 
 from __future__ import annotations
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.typing import Vector
 
 # size of a rigid motion relative to the prescribed displacements: larger ones come from rows that
@@ -34,11 +33,11 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     np.maximum.at(largest, entries.row, np.abs(entries.data))
     given = np.abs(prescribed[rows])
     sizes = np.divide(given, largest, out=np.zeros(rows.size), where=largest > 0.0)
-    size = comm.allreduce(float(sizes.max(initial=0.0)), MPI.MAX)
+    size = largest_of_ranks(comm, sizes)
     none = np.zeros(coarse_space.size)
     if size == 0.0:
         return none
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     a = supports.coefficients(prescribed)
-    moved = float(np.abs(coarse_space.rigid_motion(a)).max(initial=0.0))
-    return a if comm.allreduce(moved, MPI.MAX) <= _LARGEST * size else none
+    moved = largest_of_ranks(comm, np.abs(coarse_space.rigid_motion(a)))
+    return a if moved <= _LARGEST * size else none

@@ -73,7 +73,7 @@ class Projector:
         combined = owned = None
         if across is not None:
             combined = constraints.friction.combined(across, rows.size)
-            owned = combined[constraints.friction.owned(constraints.layout.owned)]
+            owned = combined[constraints.owned_sites]
         z, weak = coarse_space.weakly_resisted(rows, combinations=owned)
         motions = coarse_space.coarse_motions(z)
         alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)

@@ -31,7 +31,7 @@ from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import WEAK, ZERO
-from fenics_tfeti.parallel import first_of_rank
+from fenics_tfeti.parallel import first_of_rank, largest_of_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # ||B R z|| of equality rows below which a motion is softly supported: contact takes the load first
@@ -111,9 +111,7 @@ class CoarseSpace:
     @property
     def longest_row(self) -> float:
         """Largest length of a row of B."""
-        longest = np.array([self.constraints.row_lengths.max(initial=0.0)])
-        self.comm.Allreduce(MPI.IN_PLACE, longest, MPI.MAX)
-        return float(longest[0])
+        return largest_of_ranks(self.comm, self.constraints.row_lengths)
 
     @property
     def comm(self) -> MPI.Intracomm:

@@ -19,6 +19,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.feti.tolerances import MANY, rounding
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -166,9 +167,8 @@ class FrictionRows:
         Forces that are rounding of the largest one count as none: bounds of an unloaded contact
         made of them would be the scale of its certificate.
         """
-        largest = np.array([np.abs(multipliers).max(initial=0.0)])
-        layout.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        forces = np.where(multipliers > rounding(float(largest[0]), MANY), multipliers, 0.0)
+        none = rounding(largest_of_ranks(layout.comm, np.abs(multipliers)), MANY)
+        forces = np.where(multipliers > none, multipliers, 0.0)
         with_none = np.append(forces, 0.0)
         return self.from_given(with_none[self.normal], layout)
 

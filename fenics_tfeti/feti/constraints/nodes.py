@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FEW, SAME_VALUE, rounding
-from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
+from fenics_tfeti.parallel import Directory, first_of_rank, largest_of_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # range of node numbers, in units of their count, up to which counting is faster than sorting
@@ -109,10 +107,7 @@ def count_copies(nodes: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 
 def largest_coordinate(system: TornSystem) -> float:
     """Return the largest coordinate in magnitude over all ranks [m]. Collective."""
-    largest = max(
-        (float(np.abs(s.coordinates).max(initial=0.0)) for s in system.subdomains), default=0
-    )
-    return float(system.comm.allreduce(largest, MPI.MAX))
+    return largest_of_ranks(system.comm, np.abs(system.coordinates))
 
 
 def _equality_rows(multiplicity: Numbers, prescribed: Mask) -> Numbers:

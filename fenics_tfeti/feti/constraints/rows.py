@@ -26,7 +26,7 @@ from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -155,6 +155,16 @@ class Constraints:
     def owned_inequalities(self) -> int:
         """Number of inequality rows that this rank owns; they come first."""
         return int(np.searchsorted(self.inequality, self.layout.owned))
+
+    @property
+    def owned_contact_rows(self) -> Numbers:
+        """Local positions of the inequality rows that this rank owns, ascending."""
+        return self.inequality[: self.owned_inequalities]
+
+    @property
+    def owned_sites(self) -> Mask:
+        """Mask of the sites of friction that this rank owns."""
+        return self.friction.owned(self.layout.owned)
 
     @property
     def owned_tied(self) -> int:

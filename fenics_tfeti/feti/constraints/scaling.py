@@ -17,12 +17,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti.local.moduli import compressibility, share_of_shear
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.typing import Vector
 
 Scaling = Literal["multiplicity", "stiffness"]
@@ -55,7 +54,7 @@ def node_weights(system: TornSystem, scaling: Scaling) -> NodeWeights:
         total, count = system.comm.allreduce(np.array([stiffness.sum(), (~rigid).sum()]))
         unit, weights = float(total / count), np.ones(stiffness.size)
     else:
-        unit = float(system.comm.allreduce(float(stiffness.max(initial=0.0)), MPI.MAX))
+        unit = largest_of_ranks(system.comm, stiffness)
         weights = stiffness / unit
     return NodeWeights(np.where(rigid, RIGID, weights), unit, of_subdomain)
 

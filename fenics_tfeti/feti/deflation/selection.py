@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
@@ -13,7 +11,7 @@ from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.system import TornSystem, node_graph
-from fenics_tfeti.parallel import Directory
+from fenics_tfeti.parallel import Directory, any_rank
 from fenics_tfeti.typing import Mask, Vector
 
 # ratio of the stiffness of nodes. In unstructured tetrahedra of one material it reaches 20: a node
@@ -35,7 +33,7 @@ def subdomains_with_jumps(
     are in the order of the packed interface unknowns.
     """
     jumps = _ratios(constraints.weights[interface.columns], interface) > _JUMP
-    if system.comm.allreduce(bool(jumps.any()), MPI.LOR):
+    if any_rank(system.comm, jumps):
         whole = constraints.weights.copy()
         own = whole[unknowns.displacements].reshape(-1, system.gdim)[:, 0]
         over_copies = _over_copies(system, own)

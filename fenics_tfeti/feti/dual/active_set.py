@@ -15,8 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti import interruption
@@ -27,6 +25,7 @@ from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
 from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import ZERO
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -240,7 +239,7 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     """
     constraints, active = problem.constraints, face.contact_state.active
     forces = iterate.multipliers[constraints.inequality]
-    largest = float(constraints.layout.comm.allreduce(forces.max(initial=0.0), MPI.MAX))
+    largest = largest_of_ranks(constraints.layout.comm, forces)
     compressive = active & (forces > _NO_FORCE * largest)
     everywhere = np.ones(constraints.friction.size, dtype=bool)
     tensile, sites = _counts(problem, active & ~compressive, sites=everywhere)
@@ -253,11 +252,10 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
 
 def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:
     """Count masks over the inequality rows, and one over sites, of all ranks; one reduction."""
-    owned, friction = problem.constraints.owned_inequalities, problem.constraints.friction
+    owned = problem.constraints.owned_inequalities
     part = [float(np.count_nonzero(mask[:owned])) for mask in masks]
     if sites is not None:
-        mine = friction.owned(problem.constraints.layout.owned)
-        part.append(float(np.count_nonzero(sites & mine)))
+        part.append(float(np.count_nonzero(sites & problem.constraints.owned_sites)))
     return [int(n) for n in problem.space.sums(*part)]
 
 
@@ -269,7 +267,7 @@ def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> f
     friction = problem.constraints.friction
     along = balls.directions(friction.at_sites(iterate.multipliers))
     unused = problem.radius * balls.misalignment(-friction.at_sites(iterate.gradient), along)
-    counted = ~face.contact_state.sticking & friction.owned(problem.constraints.layout.owned)
+    counted = ~face.contact_state.sticking & problem.constraints.owned_sites
     return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
 

@@ -161,7 +161,7 @@ class _Joined:
         combinations = [sp.identity(size, format="csr")[chosen]]
         compliances = [np.where(constraints.equality[chosen], 0.0, compliance)]
         if projector.across is not None:
-            turning = friction.owned(layout.owned) & projector.across.any(axis=1)
+            turning = constraints.owned_sites & projector.across.any(axis=1)
             combinations.append(friction.combined(projector.across, size)[np.flatnonzero(turning)])
             compliances.append(compliance + curvature[turning])
         entries = sp.vstack(combinations).tocoo()

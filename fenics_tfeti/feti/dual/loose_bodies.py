@@ -14,8 +14,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -23,6 +21,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import projected_newton
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -64,7 +63,7 @@ class LooseBodies:
         if not motions.shape[1]:
             return None
         constraints = coarse_space.constraints
-        owned = constraints.inequality[: constraints.owned_inequalities]
+        owned = constraints.owned_contact_rows
         off = owned[~rows[owned]]
         rows_moved = coarse_space.bodies.moved[off] @ _moving(motions)
         # rows of unit length that a motion of size 1 does not move have traces of it
@@ -96,7 +95,7 @@ class LooseBodies:
 
     def _rounding(self, size: Vector) -> Vector:
         """Return the penetration that rounding leaves in rows that moved so far. Collective."""
-        largest = float(self.coarse_space.comm.allreduce(size.max(initial=0.0), MPI.MAX))
+        largest = largest_of_ranks(self.coarse_space.comm, size)
         return np.maximum(ZERO * size, rounding(largest))
 
 

@@ -34,7 +34,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import count_over_ranks, raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
 
@@ -306,8 +306,7 @@ def _unknowns(
 ) -> dict[str, int]:
     """Count the unknowns and rows over all ranks; see `Report`. Collective."""
     constraints, comm = setup.constraints, system.comm
-    owned = constraints.owned_inequalities
-    sites = constraints.friction.owned(constraints.layout.owned)
+    owned, sites = constraints.owned_inequalities, constraints.owned_sites
     force = constraints.contacts.scale * candidate.multipliers[constraints.inequality]
     counts = {
         "torn": data.load.size,
@@ -346,9 +345,9 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     """Describe the motions that active rows resist weakly, and by which contacts. Collective."""
     constraints, coarse_space = setup.constraints, setup.projector.coarse_space
     _, weak = coarse_space.weakly_resisted(candidate.face.rows, FACETED)
-    owned = constraints.inequality[: constraints.owned_inequalities]
+    owned = constraints.owned_contact_rows
     contact, active = constraints.contacts.contact[: owned.size], candidate.face.rows[owned]
-    number = coarse_space.comm.allreduce(int(contact.max(initial=-1)), MPI.MAX) + 1
+    number = count_over_ranks(coarse_space.comm, contact)
     descriptions = []
     for z in weak.T.tocsr():
         motion = z.toarray().ravel()

@@ -12,8 +12,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
@@ -21,7 +19,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.solution.setup import LocalSetup
 from fenics_tfeti.feti.system import ContactRows, TornSystem
-from fenics_tfeti.parallel import Directory, concatenate_ranks
+from fenics_tfeti.parallel import Directory, concatenate_ranks, count_over_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -147,9 +145,7 @@ def resultants(
     external = [_NodalForces(x, loads), springs, *reactions]
     sums = comm.allreduce(np.array([part.sums() for part in external]))
 
-    contacts = max(
-        len(system.contact_names), comm.allreduce(int(rows.contact.max(initial=-1)), MPI.MAX) + 1
-    )
+    contacts = max(len(system.contact_names), count_over_ranks(comm, rows.contact))
     normal_sums = comm.allreduce(forces.normal_sums(system.contacts, contacts))
     work = comm.allreduce(_friction_work(F.constraints, multipliers, slips, contacts))
     points = _points(system, x, F, unknowns, rows.nodes)
@@ -192,7 +188,7 @@ def _friction_work(
 ) -> Vector:
     """Return this rank's part of the work of tangential forces on slips, (contacts,) [J]."""
     friction = constraints.friction
-    owned = friction.owned(constraints.layout.owned)
+    owned = constraints.owned_sites
     work = np.sum(slips * friction.at_sites(multipliers), axis=1)[owned]
     sums = np.bincount(friction.contact[owned], weights=work, minlength=contacts)
     return sums.astype(np.float64)
@@ -280,9 +276,7 @@ def _reactions(
     """
     comm, gdim, prescribed = system.comm, system.gdim, system.prescribed
     number = np.asarray(prescribed.condition, dtype=np.int64)
-    conditions = max(
-        len(system.condition_names), comm.allreduce(int(number.max(initial=-1)), MPI.MAX) + 1
-    )
+    conditions = max(len(system.condition_names), count_over_ranks(comm, number))
     directory = Directory(comm, np.unique(prescribed.nodes))
     shape = (directory.keys.size, gdim)
     nodes, components, number = directory.collect(prescribed.nodes, prescribed.components, number)

@@ -14,8 +14,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.errors import UnresistedMotion
@@ -26,6 +24,7 @@ from fenics_tfeti.feti.solution.outer import iterate_until_certified
 from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import Candidate, Outcome, SlipBoundStep
 from fenics_tfeti.feti.tolerances import CERTIFIED, ZERO
+from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Vector
 
@@ -50,7 +49,7 @@ def iterate_slip_bounds(
     has the error of the slip bounds.
     """
     comm = context.setup.constraints.layout.comm
-    if not comm.allreduce(bool(context.data.bound.slope.any()), MPI.LOR):
+    if not any_rank(comm, context.data.bound.slope):
         return iterate_until_certified(context, start)
     fixed_point = _FixedPoint.start(context, start, balance)
     while True:
@@ -104,7 +103,7 @@ class _FixedPoint:
         feasible = context.data.feasible
         radius = fixed_point._bounds(feasible)
         limited = (radius > 0.0) & ~balls.inside(friction.at_sites(feasible), radius)
-        if comm.allreduce(bool(limited.any()), MPI.LOR):
+        if any_rank(comm, limited):
             # these bounds may hold the load just so, and the motion at the limit is not unique
             radius = fixed_point._bounds(_AMPLE * feasible)
         fixed_point.context = replace(context, data=replace(context.data, radius=radius))
@@ -218,9 +217,9 @@ class _FixedPoint:
 
     def _dot(self, x: Vector, y: Vector) -> float:
         """Return the inner product of values at sites. Collective."""
-        layout = self.context.setup.constraints.layout
-        owned = self.context.setup.constraints.friction.owned(layout.owned)
-        return float(layout.comm.allreduce(float(x[owned] @ y[owned])))
+        constraints = self.context.setup.constraints
+        owned = constraints.owned_sites
+        return float(constraints.layout.comm.allreduce(float(x[owned] @ y[owned])))
 
 
 def _failure(changes: Sequence[float]) -> str:

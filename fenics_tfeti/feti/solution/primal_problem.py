@@ -166,7 +166,7 @@ class PrimalProblem:
         sums = np.array([np.bincount(of_subdomain, part, number) for part in parts], dtype=float)
         own = _Sums(*sums)
         slips, along = self.slips(recovered), balls.directions(friction.at_sites(multipliers))
-        sites = np.flatnonzero(friction.owned(self.setup.constraints.layout.owned))
+        sites = np.flatnonzero(self.setup.constraints.owned_sites)
         body, radius = row_bodies.of_sites(friction.size)[sites], self.data.radius[sites]
         unused = balls.misalignment(slips, along)[sites]
         np.add.at(own.error2, body, 2.0 * radius * unused)

@@ -273,7 +273,7 @@ def _slips_against_friction(
     constraints = face.coarse_space.constraints
     friction = constraints.friction
     along = balls.directions(friction.at_sites(multipliers))
-    mine = friction.owned(constraints.layout.owned) & ~friction.within(face.rows)
+    mine = constraints.owned_sites & ~friction.within(face.rows)
     sites = np.flatnonzero(mine & along.any(axis=1))
     rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.row_lengths)
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)

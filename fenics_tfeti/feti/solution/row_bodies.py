@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.parallel import Directory, concatenate_buffers
+from fenics_tfeti.parallel import Directory, concatenate_buffers, count_over_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -42,12 +42,12 @@ class RowBodies:
         last.
         """
         of_subdomain = system.bodies
-        count = system.comm.allreduce(int(of_subdomain.max(initial=-1)), MPI.MAX) + 1
+        count = count_over_ranks(system.comm, of_subdomain)
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
         pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
         numbers = np.append(constraints.contacts.contact, constraints.friction.contact)
-        contacts = system.comm.allreduce(int(numbers.max(initial=-1)), MPI.MAX) + 1
+        contacts = count_over_ranks(system.comm, numbers)
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
         return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)
 

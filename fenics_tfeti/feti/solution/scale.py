@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mpi4py import MPI
-
 import numpy as np
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.tolerances import rounding
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -44,7 +43,7 @@ class FeasibleState:
             np.abs(prescribed).max(initial=0.0),
             penetrated.max(initial=0.0),
         )
-        return FeasibleState(jumps, strain, float(comm.allreduce(float(largest), MPI.MAX)))
+        return FeasibleState(jumps, strain, largest_of_ranks(comm, largest))
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -52,7 +50,7 @@ from fenics_tfeti.feti.solution.row_bodies import RowBodies
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import any_rank, raise_collectively
 from fenics_tfeti.typing import Operator, Vector
 
 # factors of the threshold of deflated eigenvalues, tried until U'FU has all negative ones
@@ -264,7 +262,7 @@ class DualSetup:
     def _vectors(self, system: TornSystem, options: Options, factor: float) -> LocalVectors | None:
         """Return the vectors to be deflated; None, on all ranks, if there are none. Collective."""
         vectors = self._local_vectors(system, options, factor)
-        if not system.comm.allreduce(any(self.stiff_modes), MPI.LOR):
+        if not any_rank(system.comm, [stiff is not None for stiff in self.stiff_modes]):
             return vectors
         modes = self.stiff_modes or [None] * len(self.local.classes)
         stiff = deflated_vectors(self.constraints, self.F.interface, modes)
@@ -297,9 +295,9 @@ class DualSetup:
                     self.constraints, interface, trials, kernels, limits, local.unit
                 )
                 # F is large in the directions of soft supports: F_c would lose as many digits
-                if not system.comm.allreduce(bool(local.unknowns.grounds.any()), MPI.LOR):
+                if not any_rank(system.comm, local.unknowns.grounds):
                     chosen |= flexible
-            if not system.comm.allreduce(bool(chosen.any()), MPI.LOR):
+            if not any_rank(system.comm, chosen):
                 return None
         vectors = local_vectors(
             TornRows.build(interface, self.constraints.equality, chosen),
