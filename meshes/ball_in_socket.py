@@ -2,18 +2,17 @@
 
     python meshes/ball_in_socket.py [--element-size 0.5e-3] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. The axis is x = 0; ball and socket touch at the origin. Elements grow with
 the distance from there; those of the socket are 1.4 times as large, so that nodes do not match.
 """
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
 import gmsh
+from gmsh_files import command_line, name_group, new_file, set_size, surface
 
 BALL, SOCKET = 0.05, 0.051  # radii
 BLOCK, DEPTH = 0.12, 0.08  # radius of the block, its depth below the socket
@@ -30,21 +29,17 @@ def body(name: str, points: list[tuple[float, float]], radius: float, sides: lis
     curves = [geo.addCircleArc(corners[0], centre, corners[1])]
     curves += [geo.addLine(*ends) for ends in zip(corners[1:], corners[2:], strict=False)]
     curves.append(geo.addLine(corners[-1], corners[0]))
-    surface = geo.addPlaneSurface([geo.addCurveLoop(curves)])
+    whole = surface(curves)
     geo.synchronize()
-    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [surface]), name)
+    name_group(2, [whole], name)
     for curve, side in zip(curves, sides, strict=True):
         if side:
-            tag = gmsh.model.addPhysicalGroup(1, [curve])
-            gmsh.model.setPhysicalName(1, tag, f"{name} {side}")
+            name_group(1, [curve], f"{name} {side}")
 
 
-def ball_in_socket(output: Path, size: float = 0.5e-3) -> None:
-    """Mesh both bodies by triangles and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("ball_in_socket")
+def ball_in_socket(output: Path, element_size: float = 0.5e-3) -> None:
+    """Mesh both bodies by triangles, those of the ball of a size [m], and write the file."""
+    with new_file(output):
         body("ball", [(0, 0), (BALL, BALL), (0, BALL)], BALL, ["surface", "top", "axis"])
         body(
             "socket",
@@ -54,24 +49,14 @@ def ball_in_socket(output: Path, size: float = 0.5e-3) -> None:
         )
         socket = {(2, 2), *gmsh.model.getBoundary([(2, 2)], oriented=False)}
 
-        def element_size(dim: int, tag: int, x: float, y: float, *_: float) -> float:
-            own = COARSER * size if (dim, tag) in socket else size
+        def size(dim: int, tag: int, x: float, y: float, *_: float) -> float:
+            own = COARSER * element_size if (dim, tag) in socket else element_size
             growth = 1 + max(0.0, math.hypot(x, y) - NEAR) / GROWTH
             return min(own * growth, COARSEST)
 
-        gmsh.model.mesh.setSizeCallback(element_size)
-        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        set_size(size)
         gmsh.model.mesh.generate(2)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=0.5e-3, help="of the ball [m]")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    ball_in_socket(options.output, options.element_size)
+    command_line(ball_in_socket)

@@ -2,7 +2,6 @@
 
     python meshes/bolt_in_lug.py [--element-size 0.9e-3] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. The bodies are made by OpenCASCADE's Boolean operations, and meshed apart by
 Gmsh. The axis of the bolt is the z axis, the lug extends along x; y = 0 and z = 0 are planes of
 symmetry. Hole and bolt are drawn with the same radius. The bolt's elements are 0.8 times as large
@@ -11,12 +10,11 @@ as those of the lug.
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
 import gmsh
-import numpy as np
+from gmsh_files import command_line, name_group, new_file, round_coordinates, set_size, sides_of
 
 RADIUS = 0.01  # of hole and bolt
 HALF_WIDTH, LENGTH, HALF_THICKNESS = 0.022, 0.06, 0.006  # of the lug; length from the hole's axis
@@ -48,8 +46,8 @@ def name_sides(bodies: dict[str, int]) -> None:
     """Name the bodies and, by shape and place, their sides."""
     named: dict[str, list[int]] = {}
     for name, body in bodies.items():
-        gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, [body]), name)
-        for _, side in gmsh.model.getBoundary([(3, body)], oriented=False):
+        name_group(3, [body], name)
+        for side in sides_of(body):
             x, y, z = gmsh.model.occ.getCenterOfMass(2, side)
             largest = max(abs(c) for c in gmsh.model.getBoundingBox(2, side)[:2])
             if gmsh.model.getType(2, side) == "Cylinder":
@@ -64,23 +62,12 @@ def name_sides(bodies: dict[str, int]) -> None:
                 group = "clamped" if abs(z - HALF_BOLT) < TINY else ""
             named.setdefault(group, []).append(side)
     for group in sorted(set(named) - {""}):
-        gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, named[group]), group)
+        name_group(2, named[group], group)
 
 
-def round_coordinates() -> None:
-    """Round to a nanometre: shorter files."""
-    for dim, entity in gmsh.model.getEntities():
-        nodes, points, _ = gmsh.model.mesh.getNodes(dim, entity)
-        for node, point in zip(nodes, np.reshape(points, (-1, 3)), strict=True):
-            gmsh.model.mesh.setNode(int(node), list(np.round(point, 9)), [])
-
-
-def bolt_in_lug(output: Path, size: float = 0.9e-3) -> None:
-    """Mesh both bodies by tetrahedra and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("bolt_in_lug")
+def bolt_in_lug(output: Path, element_size: float = 0.9e-3) -> None:
+    """Mesh both bodies by tetrahedra, those of the lug of a size [m], and write the file."""
+    with new_file(output):
         bodies = {"lug": lug(), "bolt": bolt()}
         gmsh.model.occ.synchronize()
         name_sides(bodies)
@@ -88,25 +75,15 @@ def bolt_in_lug(output: Path, size: float = 0.9e-3) -> None:
         of_bolt = {(3, bodies["bolt"]), *whole, *gmsh.model.getBoundary(whole, combined=False)}
         of_bolt = {(dim, abs(tag)) for dim, tag in of_bolt}
 
-        def element_size(dim: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
-            own = FINER * size if (dim, tag) in of_bolt else size
+        def size(dim: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+            own = FINER * element_size if (dim, tag) in of_bolt else element_size
             away = abs(math.hypot(x, y) - RADIUS) + max(0.0, x)
             return min(own + GROWTH * away, COARSEST)
 
-        gmsh.model.mesh.setSizeCallback(element_size)
-        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        set_size(size)
         gmsh.model.mesh.generate(3)
         round_coordinates()
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=0.9e-3, help="of the lug [m]")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    bolt_in_lug(options.output, options.element_size)
+    command_line(bolt_in_lug)

@@ -2,7 +2,6 @@
 
     python meshes/flange.py [--element-size 5.5e-3] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. The bodies are made by OpenCASCADE's Boolean operations, and meshed apart by
 Gmsh. The axis of the pipes is the z axis, the gasket is between the flanges around z = 0. Bolts
 have play in their holes. The shank of each is cut at z = 0: "cut 1" is a surface inside the body
@@ -13,19 +12,14 @@ those of the gasket, "upper seats" and "lower seats" those under the heads and n
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
 import gmsh
-import numpy as np
+from gmsh_files import command_line, name_group, new_file, round_coordinates, set_size, sides_of
 
-BORE, PIPE, FLANGE, BOLTS = (
-    0.020,
-    0.026,
-    0.060,
-    0.043,
-)  # radii of the pipes and of the bolts' circle
+# radii of the pipes and of the bolts' circle
+BORE, PIPE, FLANGE, BOLTS = 0.020, 0.026, 0.060, 0.043
 THICKNESS, STUB = 0.012, 0.020  # of a flange; length of a pipe from it
 HALF, GASKET = 0.001, 0.034  # half thickness and outer radius of the gasket
 SHANK, HOLE, HEAD, HEIGHT = 0.006, 0.0066, 0.010, 0.008  # radii, and height of a head
@@ -80,13 +74,8 @@ def name_sides(bodies: dict[str, list[int]]) -> None:
     """Name the bodies and, by place, their sides."""
     named: dict[str, list[int]] = {}
     for name, parts in bodies.items():
-        gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, parts), name)
-        sides = {
-            abs(tag)
-            for part in parts
-            for _, tag in gmsh.model.getBoundary([(3, part)], oriented=False)
-        }
-        for side in sorted(sides):
+        name_group(3, parts, name)
+        for side in sorted({side for part in parts for side in sides_of(part)}):
             low, high = (gmsh.model.getBoundingBox(2, side)[k] for k in (2, 5))
             if high - low > TINY * 10:
                 continue
@@ -104,46 +93,25 @@ def name_sides(bodies: dict[str, list[int]]) -> None:
             if place in groups:
                 named.setdefault(groups[place], []).append(side)
     for group in sorted(named):
-        gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, named[group]), group)
+        name_group(2, named[group], group)
 
 
-def round_coordinates() -> None:
-    """Round to a nanometre: shorter files."""
-    for dim, entity in gmsh.model.getEntities():
-        nodes, points, _ = gmsh.model.mesh.getNodes(dim, entity)
-        for node, point in zip(nodes, np.reshape(points, (-1, 3)), strict=True):
-            gmsh.model.mesh.setNode(int(node), list(np.round(point, 9)), [])
-
-
-def flange_with_bolts(output: Path, size: float = 5.5e-3) -> None:
-    """Mesh all bodies by tetrahedra and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("flange")
+def flange_with_bolts(output: Path, element_size: float = 5.5e-3) -> None:
+    """Mesh all bodies by tetrahedra, of a size [m] or smaller, and write the file."""
+    with new_file(output):
         bodies = {"upper": [flange(1)], "lower": [flange(-1)], "gasket": [gasket()]}
         bodies |= {f"bolt {k}": bolt(*place) for k, place in enumerate(places(), start=1)}
         gmsh.model.occ.synchronize()
         name_sides(bodies)
 
-        def element_size(dim: int, tag: int, x: float, y: float, z: float, *_: float) -> float:
+        def size(dim: int, tag: int, x: float, y: float, *_: float) -> float:
             away = min(math.hypot(x - a, y - b) for a, b in places())
-            return min(max(0.7 * size, 0.25 * away), size)
+            return min(max(0.7 * element_size, 0.25 * away), element_size)
 
-        gmsh.model.mesh.setSizeCallback(element_size)
-        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+        set_size(size)
         gmsh.model.mesh.generate(3)
         round_coordinates()
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=5.5e-3, help="of the flanges [m]")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    flange_with_bolts(options.output, options.element_size)
+    command_line(flange_with_bolts)

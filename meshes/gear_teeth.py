@@ -2,7 +2,6 @@
 
     python meshes/gear_teeth.py [--element-size 0.03e-3] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. The pinion's axis is at the origin; it is cut along the axes of coordinates.
 Flanks are involutes. One tooth of the pinion touches one of the wheel at the pitch point; these two
 flanks are tagged. Elements are small there, and of different size, so that nodes do not match.
@@ -10,11 +9,11 @@ flanks are tagged. Elements are small there, and of different size, so that node
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import gmsh
 import numpy as np
+from gmsh_files import closed, command_line, name_group, new_file, surface
 
 MODULE, PRESSURE_ANGLE = 4e-3, np.radians(20)
 PINION, WHEEL = 20, 28  # numbers of teeth
@@ -108,13 +107,13 @@ def gear(name: str, curves: list[tuple[np.ndarray, str]], finest: float) -> None
         chosen = graded(curve, finest)
         points += [geo.addPoint(x, y, 0) for x, y in chosen[:-1]]
         groups += [group] * (len(chosen) - 1)
-    sides = [geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-    body = geo.addPlaneSurface([geo.addCurveLoop(sides)])
+    sides = closed(points)
+    body = surface(sides)
     geo.synchronize()
-    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [body]), name)
+    name_group(2, [body], name)
     for group in sorted(set(groups) - {""}):
         chosen = [side for side, its in zip(sides, groups, strict=True) if its == group]
-        gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, chosen), group)
+        name_group(1, chosen, group)
 
 
 def sector(teeth: int, first: float, touching: int) -> list[tuple[np.ndarray, str]]:
@@ -132,39 +131,28 @@ def sector(teeth: int, first: float, touching: int) -> list[tuple[np.ndarray, st
     return outline
 
 
-def gear_teeth(output: Path, size: float = 0.03e-3) -> None:
-    """Mesh both gears by triangles and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("gear_teeth")
+def gear_teeth(output: Path, element_size: float = 0.03e-3) -> None:
+    """Mesh both gears by triangles, those of the pinion of a size [m], and write the file."""
+    with new_file(output):
         pinion = sector(PINION, 0.0, 2)
-        gear("pinion", [(c, g and f"pinion {g}") for c, g in pinion], size)
+        gear("pinion", [(c, g and f"pinion {g}") for c, g in pinion], element_size)
         # the flank of the tooth in the middle is, by a quarter of a step, after the pitch point
         first = LINE_OF_CENTRES + np.pi - (0.5 * DRAWN - 0.25) * 2 * np.pi / WHEEL
         centre = PITCH_POINT * (1 + WHEEL / PINION)
         wheel = sector(WHEEL, first, DRAWN // 2)
-        gear("wheel", [(centre + c, g and f"wheel {g}") for c, g in wheel], FINER * size)
+        gear("wheel", [(centre + c, g and f"wheel {g}") for c, g in wheel], FINER * element_size)
         # after both bodies: to synchronise the second would undo it for the first
         for _, side in gmsh.model.getEntities(1):
             gmsh.model.mesh.setTransfiniteCurve(side, 2)
         field = gmsh.model.mesh.field.add("MathEval")
         away = "sqrt((x-({}))^2+(y-({}))^2)".format(*PITCH_POINT)
-        law = f"{FINER * size}+{GROWTH}*0.5*({away}-{NEAR}+abs({away}-{NEAR}))"
+        law = f"{FINER * element_size}+{GROWTH}*0.5*({away}-{NEAR}+abs({away}-{NEAR}))"
         gmsh.model.mesh.field.setString(field, "F", law)
         gmsh.model.mesh.field.setAsBackgroundMesh(field)
         gmsh.option.setNumber("Mesh.MeshSizeMax", INSIDE)
         gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
         gmsh.model.mesh.generate(2)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=0.03e-3, help="of the pinion [m]")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    gear_teeth(options.output, options.element_size)
+    command_line(gear_teeth)

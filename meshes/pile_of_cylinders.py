@@ -2,7 +2,6 @@
 
     python meshes/pile_of_cylinders.py [--dim 2] [--elements 12] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Two discs lie on the floor y = 0 between two walls, the third one upon both. The line of centres to
 the upper disc has the slope 4/3, so all forces are simple fractions of the weight. The surface is
 tagged, and finely divided, only around the places of contact: by so many elements of equal length
@@ -12,11 +11,12 @@ in 2D, hexahedra in 3D (the cylinders' axes are along z).
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
+from typing import Literal
 
 import gmsh
+from gmsh_files import command_line, graded, name_group, new_file, surface
 
 RADIUS = 0.25
 LENGTH = RADIUS  # of the cylinders
@@ -40,18 +40,6 @@ def point_on_circle(centre: Point, angle: float, size: float) -> int:
     x, y, z = centre
     x, y = x + RADIUS * math.cos(angle), y + RADIUS * math.sin(angle)
     return gmsh.model.geo.addPoint(x, y, z, size)
-
-
-def graded(start: float, end: float, finest: float, coarsest: float, growth: float) -> list[float]:
-    """Divide an interval, finely at its ends, symmetric about its middle; its ends are left out."""
-    half, step = (end - start) / 2, finest
-    distances = [0.0]
-    while distances[-1] < half:
-        distances.append(distances[-1] + step)
-        step = min(growth * step, coarsest)
-    distances = [half * distance / distances[-1] for distance in distances[1:]]
-    first = [start + distance for distance in distances]
-    return first + [end - distance for distance in reversed(distances[:-1])]
 
 
 def disc(
@@ -82,35 +70,27 @@ def disc(
     gmsh.model.geo.synchronize()
     for arc in loop:
         gmsh.model.mesh.setTransfiniteCurve(arc, 2)
-    surface = gmsh.model.geo.addPlaneSurface([gmsh.model.geo.addCurveLoop(loop)])
+    body = surface(loop)
     gmsh.model.geo.synchronize()
     touching = [touches for _, _, touches in corners]
-    return surface, {
+    return body, {
         name: [arc for arc, touches in zip(loop, touching, strict=True) if touches == name]
         for name in names
     }
 
 
-def extruded(surface: int, arcs: dict[str, list[int]]) -> tuple[int, dict[str, list[int]]]:
+def extruded(base: int, arcs: dict[str, list[int]]) -> tuple[int, dict[str, list[int]]]:
     """Make a cylinder, and return its volume and the strips at each place of contact."""
-    gmsh.model.mesh.setRecombine(2, surface)
-    made = gmsh.model.geo.extrude([(2, surface)], 0, 0, LENGTH, [LAYERS // 2], recombine=True)
+    gmsh.model.mesh.setRecombine(2, base)
+    made = gmsh.model.geo.extrude([(2, base)], 0, 0, LENGTH, [LAYERS // 2], recombine=True)
     gmsh.model.geo.synchronize()
     strips = {
         name: [
-            side
-            for arc in several
-            for side in gmsh.model.getAdjacencies(1, arc)[0]
-            if side != surface
+            side for arc in several for side in gmsh.model.getAdjacencies(1, arc)[0] if side != base
         ]
         for name, several in arcs.items()
     }
     return next(tag for dim, tag in made if dim == 3), strips
-
-
-def name_group(dim: int, entities: list[int], name: str) -> None:
-    """Add a named physical group."""
-    gmsh.model.setPhysicalName(dim, gmsh.model.addPhysicalGroup(dim, entities), name)
 
 
 def put_in_place(dim: int, solid: int, shift: float) -> None:
@@ -120,12 +100,9 @@ def put_in_place(dim: int, solid: int, shift: float) -> None:
         gmsh.model.mesh.setNode(tag, (x, y, round(z - shift, 12)), [])
 
 
-def pile_of_cylinders(output: Path, dim: int = 2, elements: int = 12) -> None:
+def pile_of_cylinders(output: Path, dim: Literal[2, 3] = 2, elements: int = 12) -> None:
     """Mesh the discs or cylinders and write the file; in 3D, `elements` has to be even."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("pile_of_cylinders")
+    with new_file(output):
         growth = GROWTH
         if dim == 3:  # every cell is cut into hexahedra, half as large
             gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", 2)
@@ -144,16 +121,7 @@ def pile_of_cylinders(output: Path, dim: int = 2, elements: int = 12) -> None:
         gmsh.model.mesh.generate(dim)
         for solid, shift in solids:
             put_in_place(dim, solid, shift)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--dim", type=int, choices=(2, 3), default=2)
-    parser.add_argument("--elements", type=int, default=12)
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    pile_of_cylinders(options.output, options.dim, options.elements)
+    command_line(pile_of_cylinders)

@@ -2,7 +2,6 @@
 
     python meshes/pin_joint.py [--element-size 1.5] [--order 1] [--output pin_joint.msh]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in millimetres. The pin's axis is the z axis, its ends have chamfers; the lug extends
 along x, the fork against x. The holes are wider than the pin by the clearance in radius. With
 cells of order 2 the nodes in the middle of edges are on the cylinders too.
@@ -10,10 +9,11 @@ cells of order 2 the nodes in the middle of edges are on the cylinders too.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Literal
 
 import gmsh
+from gmsh_files import command_line, name_group, new_file, sides_of
 
 RADIUS, CLEARANCE = 5.0, 0.02  # of the pin; of the holes, in radius
 HALF_LUG, GAP, TINE = 4.9, 0.1, 7.0  # thickness of half the lug, gap beside it, thickness of a tine
@@ -47,8 +47,7 @@ def _pin() -> int:
     occ = gmsh.model.occ
     rod = occ.addCylinder(0, 0, -HALF_PIN, 0, 0, 2 * HALF_PIN, RADIUS)
     occ.synchronize()
-    sides = gmsh.model.getBoundary([(3, rod)], oriented=False)
-    ends = [tag for dim, tag in sides if gmsh.model.getType(dim, tag) == "Plane"]
+    ends = [side for side in sides_of(rod) if gmsh.model.getType(2, side) == "Plane"]
     rims = [gmsh.model.getBoundary([(2, end)], oriented=False)[0][1] for end in ends]
     ((_, body),) = occ.chamfer([rod], rims, ends, [CHAMFER])
     return int(body)
@@ -66,45 +65,24 @@ def _group(body: str, side: int) -> str:
     return ""
 
 
-def pin_joint(output: Path, size: float = 1.5, order: int = 1) -> None:
-    """Mesh the three bodies and write the file.
-
-    Parameters
-    ----------
-    output : Path
-        The file.
-    size : float
-        Largest edges of the tetrahedra [mm].
-    order : int
-        Order of the cells, 1 or 2.
-    """
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("joint")
+def pin_joint(output: Path, element_size: float = 1.5, order: Literal[1, 2] = 1) -> None:
+    """Mesh the bodies by tetrahedra of an order, with edges up to a size [mm]; write the file."""
+    with new_file(output):
         bodies = {"fork": _fork(), "lug": _eye(1.0, -HALF_LUG, HALF_LUG), "pin": _pin()}
         gmsh.model.occ.synchronize()
         named: dict[str, list[int]] = {}
         for name, body in bodies.items():
-            gmsh.model.setPhysicalName(3, gmsh.model.addPhysicalGroup(3, [body]), name)
-            for _, side in gmsh.model.getBoundary([(3, body)], oriented=False):
+            name_group(3, [body], name)
+            for side in sides_of(body):
                 named.setdefault(_group(name, side), []).append(side)
         for group in sorted(set(named) - {""}):
-            gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, named[group]), group)
-        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+            name_group(2, named[group], group)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", element_size)
         gmsh.model.mesh.generate(3)
         gmsh.model.mesh.setOrder(order)
         if order > 1:
             gmsh.model.mesh.optimize("HighOrderElastic")
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=1.5, help="of all bodies [mm]")
-    parser.add_argument("--order", type=int, default=1, choices=(1, 2), help="of the cells")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    pin_joint(options.output, options.element_size, options.order)
+    command_line(pin_joint)

@@ -2,7 +2,6 @@
 
     python meshes/roller.py [--elements 24] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 The roller's axis is at the origin. The surfaces are tagged for 5 mm to either side of the places of
 contact, and divided there into so many elements a side: each node of a plate is straight below or
 above one of the roller.
@@ -10,11 +9,11 @@ above one of the roller.
 
 from __future__ import annotations
 
-import argparse
 import math
 from pathlib import Path
 
 import gmsh
+from gmsh_files import closed, command_line, graded, name_group, new_file, surface
 
 RADIUS = 0.1
 WIDTH, THICKNESS = 0.4, 0.15  # of the plates
@@ -23,31 +22,17 @@ COARSEST = RADIUS / 8
 GROWTH = 1.2  # from one element of the roller's surface to the next
 
 
-def graded(start: float, end: float, finest: float, coarsest: float) -> list[float]:
-    """Divide an interval, finely at its ends, symmetric about its middle; its ends are left out."""
-    half, step = (end - start) / 2, finest
-    distances = [0.0]
-    while distances[-1] < half:
-        distances.append(distances[-1] + step)
-        step = min(GROWTH * step, coarsest)
-    distances = [half * distance / distances[-1] for distance in distances[1:]]
-    first = [start + distance for distance in distances]
-    return first + [end - distance for distance in reversed(distances[:-1])]
-
-
-def surface(
+def polygon(
     corners: list[tuple[float, float, float]], groups: dict[str, range], name: str
 ) -> list[int]:
     """Make a polygon out of (x, y, size) and name some ranges of its sides; return these sides."""
     geo = gmsh.model.geo
-    points = [geo.addPoint(x, y, 0, size) for x, y, size in corners]
-    sides = [geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-    body = geo.addPlaneSurface([geo.addCurveLoop(sides)])
+    sides = closed([geo.addPoint(x, y, 0, size) for x, y, size in corners])
+    body = surface(sides)
     geo.synchronize()
-    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [body]), name)
+    name_group(2, [body], name)
     for group, chosen in groups.items():
-        tag = gmsh.model.addPhysicalGroup(1, [sides[k] for k in chosen])
-        gmsh.model.setPhysicalName(1, tag, group)
+        name_group(1, [sides[k] for k in chosen], group)
     return sides
 
 
@@ -57,14 +42,16 @@ def roller(elements: int) -> None:
     places = [k * finest for k in range(-elements, elements + 1)]
     below = [(x, -math.sqrt(RADIUS**2 - x**2)) for x in places]
     half = math.asin(TOUCHING / RADIUS)
-    angles = graded(half - math.pi / 2, math.pi / 2 - half, finest / RADIUS, COARSEST / RADIUS)
+    angles = graded(
+        half - math.pi / 2, math.pi / 2 - half, finest / RADIUS, COARSEST / RADIUS, GROWTH
+    )
     right = [(RADIUS * math.cos(angle), RADIUS * math.sin(angle)) for angle in angles]
     half_circle = below + right
     circle = half_circle + [(-x, -y) for x, y in half_circle]
     n = len(half_circle)
     fine, round_ = range(2 * elements), len(below)
     sizes = [finest if k % n < round_ else COARSEST for k in range(2 * n)]
-    sides = surface(
+    sides = polygon(
         [(x, y, size) for (x, y), size in zip(circle, sizes, strict=True)],
         {"roller below": fine, "roller above": range(n, n + len(fine))},
         "roller",
@@ -77,7 +64,7 @@ def plate(elements: int, name: str, sign: int) -> None:
     """Make a plate, above the roller for the sign 1 and below it for -1."""
     inner, outer, w = sign * RADIUS, sign * (RADIUS + THICKNESS), WIDTH / 2
     finest = TOUCHING / elements
-    sides = surface(
+    sides = polygon(
         [
             (-w, inner, COARSEST),
             (-TOUCHING, inner, finest),
@@ -110,24 +97,13 @@ def grow_from_contact(elements: int) -> None:
 
 def roller_between_plates(output: Path, elements: int = 24) -> None:
     """Mesh the three bodies by triangles and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("roller")
+    with new_file(output):
         plate(elements, "lower", -1)
         roller(elements)
         plate(elements, "upper", 1)
         grow_from_contact(elements)
         gmsh.model.mesh.generate(2)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--elements", type=int, default=24)
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    roller_between_plates(options.output, options.elements)
+    command_line(roller_between_plates)

@@ -2,7 +2,6 @@
 
     python meshes/roller_bearing.py [--rollers 35] [--rows 2] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres; the axis of the bearing is z. The full size has 2 x 35 rollers, an outer
 ring, an inner ring and a cage: 73 bodies.
 
@@ -19,13 +18,22 @@ of each row, has the borders "first border" and, turned about z, "second border"
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import gmsh
 import numpy as np
+from gmsh_files import (
+    closed,
+    command_line,
+    ignore_other_sizes,
+    name_group,
+    new_file,
+    session,
+    surface,
+)
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]
@@ -142,8 +150,7 @@ class Bearing:
     def roller_of(self, x: Points) -> Numbers:
         """Return the number in its row of the roller next to each point x of shape (3, n)."""
         turn = (np.arctan2(x[1], x[0]) - self.azimuth(0)) * self.rollers / (2 * np.pi)
-        number: Numbers = np.rint(turn).astype(np.int64) % self.rollers
-        return number
+        return np.rint(turn).astype(np.int64) % self.rollers
 
     def away_from_axis(self, row: int) -> Callable[[Points], Points]:
         """Return the normals of the rollers of a row, a function of x (3, n)."""
@@ -152,8 +159,7 @@ class Bearing:
         def normal(x: Points) -> Points:
             k = self.roller_of(x)
             across = x.T - centres[k]
-            result: Points = (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
-            return result
+            return (across - np.sum(across * axes[k], axis=1)[:, None] * axes[k]).T
 
         return normal
 
@@ -230,7 +236,7 @@ def roller_sheet(bearing: Bearing) -> Sheet:
         end = geo.addPoint(r * np.sin(fine), r * np.cos(fine), 0)
         sides = [geo.addLine(centre, right), geo.addCircleArc(right, centre, end)]
         sides += [geo.addCircleArc(end, centre, top), geo.addLine(top, centre)]
-        geo.addPlaneSurface([geo.addCurveLoop(sides)])
+        surface(sides)
         geo.synchronize()
         return [sides[2]], [bearing.elements // 2]
 
@@ -252,9 +258,8 @@ def ring_sheet(bearing: Bearing, thickness: float) -> Sheet:
 
     def outline() -> tuple[list[int], list[int]]:
         geo = gmsh.model.geo
-        points = [geo.addPoint(x, y, 0) for x, y in corners]
-        sides = [geo.addLine(a, b) for a, b in zip(points, points[1:] + points[:1], strict=True)]
-        geo.addPlaneSurface([geo.addCurveLoop(sides)])
+        sides = closed([geo.addPoint(x, y, 0) for x, y in corners])
+        surface(sides)
         geo.synchronize()
         return [sides[0]], [divisions // 2]
 
@@ -473,18 +478,16 @@ def joined(solids: Sequence[Solid]) -> Solid:
 
 def solids_of(bearing: Bearing, sector: bool = False) -> dict[str, Solid]:
     """Mesh all bodies, or their parts in the first sector, by name."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.option.setNumber("Mesh.RecombineAll", 1)
-        gmsh.option.setNumber("Mesh.RecombinationAlgorithm", 0)
-        gmsh.option.setNumber("Mesh.SubdivisionAlgorithm", 1)
-        for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
-            gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
+    with session():
+        for option, value in (
+            ("RecombineAll", 1),
+            ("RecombinationAlgorithm", 0),
+            ("SubdivisionAlgorithm", 1),
+        ):
+            gmsh.option.setNumber(f"Mesh.{option}", value)
+        ignore_other_sizes()
         sectors = {"outer ring": ring(bearing, 1), "inner ring": ring(bearing, -1)}
         one = roller(bearing)
-    finally:
-        gmsh.finalize()
     if bearing.cage:
         sectors["cage"] = cage(bearing)
     number_of_sectors = 1 if sector else bearing.rollers
@@ -503,37 +506,31 @@ def solids_of(bearing: Bearing, sector: bool = False) -> dict[str, Solid]:
 
 def write(bodies: dict[str, Solid], output: Path) -> None:
     """Write bodies and named surfaces."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("roller_bearing")
+    with new_file(output):
         nodes, elements = 1, 1
         groups: dict[str, list[int]] = {}
+
+        def add(dim: int, kind: int, rows: Numbers, points: Points | None = None) -> int:
+            """Make an entity of elements, after those of others."""
+            nonlocal elements
+            entity = int(gmsh.model.addDiscreteEntity(dim))
+            if points is not None:
+                gmsh.model.mesh.addNodes(
+                    dim, entity, np.arange(len(points)) + nodes, points.ravel()
+                )
+            numbers = np.arange(len(rows)) + elements
+            gmsh.model.mesh.addElementsByType(entity, kind, numbers, (rows + nodes).ravel())
+            elements += len(rows)
+            return entity
+
         for name, solid in bodies.items():
-            volume = gmsh.model.addDiscreteEntity(3)
-            count, m = len(solid.points), len(solid.cells)
-            gmsh.model.mesh.addNodes(3, volume, np.arange(count) + nodes, solid.points.ravel())
-            gmsh.model.mesh.addElementsByType(
-                volume, 5, np.arange(m) + elements, (solid.cells + nodes).ravel()
-            )
-            elements += m
-            group = gmsh.model.addPhysicalGroup(3, [volume])
-            gmsh.model.setPhysicalName(3, group, name)
-            for surface, rows in solid.facets.items():
-                entity = gmsh.model.addDiscreteEntity(2)
-                numbers = np.arange(len(rows)) + elements
-                gmsh.model.mesh.addElementsByType(entity, 3, numbers, (rows + nodes).ravel())
-                elements += len(rows)
-                groups.setdefault(surface, []).append(entity)
-            nodes += count
-        for surface, entities in groups.items():
-            group = gmsh.model.addPhysicalGroup(2, entities)
-            gmsh.model.setPhysicalName(2, group, surface)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
+            name_group(3, [add(3, 5, solid.cells, solid.points)], name)
+            for side, rows in solid.facets.items():
+                groups.setdefault(side, []).append(add(2, 3, rows))
+            nodes += len(solid.points)
+        for side, entities in groups.items():
+            name_group(2, entities, side)
         gmsh.option.setNumber("Mesh.Binary", 1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 def subdomain_labels(
@@ -597,14 +594,10 @@ def roller_bearing(output: Path, bearing: Bearing, sector: bool = False) -> None
     write(solids_of(bearing, sector), output)
 
 
+def with_dimensions(output: Path, **dimensions: Any) -> None:
+    """Mesh the bearing of some dimensions and write the file."""
+    roller_bearing(output, Bearing(**dimensions))
+
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    for name, value in vars(Bearing()).items():
-        if name == "cage":
-            parser.add_argument("--no-cage", dest="cage", action="store_false")
-        else:
-            parser.add_argument(f"--{name.replace('_', '-')}", type=type(value), default=value)
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = vars(parser.parse_args())
-    target = options.pop("output")
-    roller_bearing(target, Bearing(**options))
+    command_line(with_dimensions, options_of=Bearing)

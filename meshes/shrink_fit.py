@@ -2,25 +2,19 @@
 
     python meshes/shrink_fit.py [--element-size 1.25e-3] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. Both rings are drawn with the same radius where they are pressed together.
 The elements of the hub are 1.4 times as large as those of the shaft, so that nodes do not match.
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import gmsh
+from gmsh_files import command_line, name_group, new_file, surface
 
 INNER, RADIUS, OUTER = 0.02, 0.04, 0.07  # of the bore, the fit and the hub
 COARSER = 1.4
-
-
-def name_group(dim: int, entities: list[int], name: str) -> None:
-    """Make a physical group."""
-    gmsh.model.setPhysicalName(dim, gmsh.model.addPhysicalGroup(dim, entities), name)
 
 
 def ring(name: str, inner: float, outer: float, size: float) -> dict[str, int]:
@@ -35,33 +29,22 @@ def ring(name: str, inner: float, outer: float, size: float) -> dict[str, int]:
         "symmetry_x": geo.addLine(points[2], points[3]),
         f"{name} inside": geo.addCircleArc(points[3], centre, points[0]),
     }
-    body = geo.addPlaneSurface([geo.addCurveLoop(list(sides.values()))])
+    body = surface(list(sides.values()))
     geo.synchronize()
     name_group(2, [body], name)
     return sides
 
 
-def shrink_fit(output: Path, size: float = 1.25e-3) -> None:
-    """Mesh both rings by triangles and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("shrink_fit")
-        shaft = ring("shaft", INNER, RADIUS, size)
-        hub = ring("hub", RADIUS, OUTER, COARSER * size)
+def shrink_fit(output: Path, element_size: float = 1.25e-3) -> None:
+    """Mesh both rings by triangles, those of the shaft of a size [m], and write the file."""
+    with new_file(output):
+        shaft = ring("shaft", INNER, RADIUS, element_size)
+        hub = ring("hub", RADIUS, OUTER, COARSER * element_size)
         for group in dict.fromkeys([*shaft, *hub]):
             sides = [named[group] for named in (shaft, hub) if group in named]
             name_group(1, sides, group)
         gmsh.model.mesh.generate(2)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=1.25e-3, help="of the shaft [m]")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    shrink_fit(options.output, options.element_size)
+    command_line(shrink_fit)

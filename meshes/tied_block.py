@@ -2,17 +2,16 @@
 
     python meshes/tied_block.py [--element-size 0.6e-3] [--coarser 6] [--output FILE]
 
-Needs Gmsh with its Python module ('apt install python3-gmsh' or 'pip install gmsh').
 Lengths are in metres. The fine part is a square about the bore, the coarse part the rest of the
 block. The two sides of each part where the parts meet are tagged; their nodes do not match.
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import gmsh
+from gmsh_files import command_line, name_group, new_file, surface
 
 BORE, PART, BLOCK = 0.01, 0.025, 0.08  # radius of the bore, half-widths of part and block
 
@@ -33,28 +32,27 @@ def part(name: str, corners: list[tuple[float, float, float]], sides: list[str])
         arc = side == "bore"
         curve = geo.addCircleArc(start, origin, end) if arc else geo.addLine(start, end)
         curves.setdefault(side, []).append(curve)
-    loop = geo.addCurveLoop([curve for group in curves.values() for curve in group], reorient=True)
-    body = geo.addPlaneSurface([loop])
+    body = surface([curve for group in curves.values() for curve in group])
     geo.synchronize()
-    gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, [body]), name)
+    name_group(2, [body], name)
     return curves
 
 
-def tied_block(output: Path, size: float = 0.6e-3, coarser: float = 6.0) -> None:
-    """Mesh both parts by triangles and write the file."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("tied_block")
-        large = coarser * size
+def tied_block(output: Path, element_size: float = 0.6e-3, coarser: float = 6.0) -> None:
+    """Mesh both parts by triangles and write the file.
+
+    `element_size` [m] is that at the bore, those of the coarse part are `coarser` times as large.
+    """
+    with new_file(output):
+        large = coarser * element_size
         fine = part(
             "fine part",
             [
-                (0, BORE, size),
-                (BORE, 0, size),
-                (PART, 0, 2 * size),
-                (PART, PART, 2 * size),
-                (0, PART, 2 * size),
+                (0, BORE, element_size),
+                (BORE, 0, element_size),
+                (PART, 0, 2 * element_size),
+                (PART, PART, 2 * element_size),
+                (0, PART, 2 * element_size),
             ],
             ["bore", "symmetry_y", "fine right", "fine top", "symmetry_x"],
         )
@@ -71,19 +69,9 @@ def tied_block(output: Path, size: float = 0.6e-3, coarser: float = 6.0) -> None
             ["symmetry_y", "outside", "outside", "symmetry_x", "coarse top", "coarse right"],
         )
         for name in dict.fromkeys([*fine, *coarse]):
-            tag = gmsh.model.addPhysicalGroup(1, fine.get(name, []) + coarse.get(name, []))
-            gmsh.model.setPhysicalName(1, tag, name)
+            name_group(1, fine.get(name, []) + coarse.get(name, []), name)
         gmsh.model.mesh.generate(2)
-        gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
-        gmsh.write(str(output))
-    finally:
-        gmsh.finalize()
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element-size", type=float, default=0.6e-3, help="at the bore [m]")
-    parser.add_argument("--coarser", type=float, default=6.0, help="factor of the coarse part")
-    parser.add_argument("--output", type=Path, default=Path(__file__).with_suffix(".msh"))
-    options = parser.parse_args()
-    tied_block(options.output, options.element_size, options.coarser)
+    command_line(tied_block)

@@ -14,9 +14,12 @@ pytest.importorskip("gmsh")
 
 MESHES = Path(__file__).parents[2] / "meshes"
 OTHERS = {
-    "hertz_ball_hexahedra": ("half_balls", "{output}"),
-    "punch_disc": ("half_space", "{output}", "--divisions", "6"),
-    "punch_strip": ("half_space", "{output}", "--cell", "quadrilateral", "--divisions", "16"),
+    "hertz_ball_hexahedra": ("half_balls", "--output", "{output}"),
+    "punch_disc": ("half_space", "--divisions", "6", "--output", "{output}"),
+    "punch_strip": (
+        *("half_space", "--cell", "quadrilateral", "--divisions", "16"),
+        *("--output", "{output}"),
+    ),
     "pile_of_cylinders": ("pile_of_cylinders", "--elements", "16", "--output", "{output}"),
     "pile_of_cylinders_3d": (
         *("pile_of_cylinders", "--dim", "3", "--elements", "4"),

@@ -6,6 +6,7 @@ import itertools
 import runpy
 import signal
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +39,24 @@ def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> A
 def of_script(script: str, gdim: int, *arguments: Any, comm: MPI.Comm = MPI.COMM_SELF) -> Any:
     """Return the bodies that Gmsh meshes on rank 0 by the function of a script in meshes/."""
     pytest.importorskip("gmsh")
+    make = runpy.run_path(str(MESHES / f"{script}.py"))[script]
+    return of_function(make, gdim, *arguments, comm=comm)
+
+
+def of_function(
+    make: Callable[..., None], gdim: int, *arguments: Any, comm: MPI.Comm = MPI.COMM_SELF
+) -> Any:
+    """Return the bodies of a file that a function of its path makes on rank 0 by Gmsh."""
     handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
     with tempfile.TemporaryDirectory() as folder:
         path = Path(comm.bcast(folder), "mesh.msh")
         if comm.rank == 0:
-            runpy.run_path(str(MESHES / f"{script}.py"))[script](path, *arguments)
+            make(path, *arguments)
             signal.signal(signal.SIGINT, handler)
         comm.barrier()
-        return read_msh(path, comm, gdim)
+        bodies = read_msh(path, comm, gdim)
+        comm.barrier()
+    return bodies
 
 
 def tags_of(domain: Any, values: ArrayLike) -> Any:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import itertools
-import sys
 from dataclasses import replace
-from pathlib import Path
+from importlib import import_module
 
 from mpi4py import MPI
 
@@ -23,18 +21,12 @@ pytestmark = pytest.mark.once
 
 pytest.importorskip("gmsh")
 YOUNG = 2.1e11
-SCRIPT = Path(__file__).parents[2] / "meshes" / "roller_bearing.py"
 
 
 @pytest.fixture(scope="module")
 def meshes():
     """Return the script that makes the meshes."""
-    spec = importlib.util.spec_from_file_location("meshes_of_roller_bearings", SCRIPT)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+    return import_module("roller_bearing")
 
 
 def read(meshes, path, solids):
