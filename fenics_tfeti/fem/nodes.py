@@ -8,16 +8,13 @@ from typing import Any, cast
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.parallel import all_to_all, first_of_rank, send_rows
-from fenics_tfeti.typing import Indices, Numbers, Vector
-
-Array = NDArray[Any]
+from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 
 class MeshComm(MPI.Intracomm):

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh, exterior_facet_indices
@@ -15,7 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Numbers
+from fenics_tfeti.typing import Array, Indices, Mask, Numbers
 
 NO_TAG = int(np.iinfo(np.int64).min)
 """In place of a tag, where there is none."""
@@ -81,7 +80,7 @@ def tags_of_cells(domain: Mesh, cell_tags: Any) -> Numbers:
     return tags
 
 
-def global_numbers(index_map: Any, local: NDArray[Any]) -> Numbers:
+def global_numbers(index_map: Any, local: Array) -> Numbers:
     """Return the global numbers of local ones of an index map, in an array of the same shape."""
     numbers = index_map.local_to_global(local.ravel().astype(np.int32))
     return np.asarray(numbers, dtype=np.int64).reshape(local.shape)
@@ -114,7 +113,7 @@ def cell_facets(domain: Mesh) -> Indices:
     return facets.reshape(-1, len(cell_type(domain).facets))
 
 
-def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
+def exterior_facets(domain: Mesh) -> Mask:
     """Tell which facets of this rank are on the boundary of the mesh; False for ghosts."""
     dim = domain.topology.dim
     domain.topology.create_entities(dim - 1)
@@ -125,7 +124,7 @@ def exterior_facets(domain: Mesh) -> NDArray[np.bool_]:
     return exterior
 
 
-def exterior_cell_facets(domain: Mesh) -> NDArray[np.bool_]:
+def exterior_cell_facets(domain: Mesh) -> Mask:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
     return exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
 

@@ -8,7 +8,6 @@ from itertools import combinations
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh
 
@@ -21,7 +20,7 @@ from fenics_tfeti.fem.reference_cells import ReferenceCell, lagrange_points, sha
 from fenics_tfeti.fem.tolerances import FLAT_CELL
 from fenics_tfeti.fem.topology import batches, cell_facets, cell_type
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 # cells at once: what is computed of them stays in the cache
 _CELLS = 2**12
@@ -38,7 +37,7 @@ class CellGeometry:
     domain: Mesh
     bodies: Bodies
     type: ReferenceCell
-    nodes: NDArray[np.int32]  # (m, v) rows of ``geometry.x`` at the vertices
+    nodes: Indices  # (m, v) rows of ``geometry.x`` at the vertices
     x: Vector  # (gdim, n) coordinates of the nodes [m]
     midpoint: Vector  # (gdim, m) means of the corners [m]
     size: Vector  # twice the largest distance of a corner from the midpoint [m]
@@ -180,7 +179,7 @@ def _above(cells: CellGeometry) -> Mask:
     return above
 
 
-def _odd(nodes: NDArray[np.int32]) -> Mask:
+def _odd(nodes: Indices) -> Mask:
     """Tell which facets (v, k) have their vertices in an order that reverses the orientation."""
     if len(nodes) == 4:  # a quadrilateral by its diagonals: the ends of each, then the two
         first, second = nodes[[0, 3]], nodes[[1, 2]]

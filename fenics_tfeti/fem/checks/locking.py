@@ -10,7 +10,6 @@ other displacement.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
@@ -20,7 +19,7 @@ from fenics_tfeti.fem.decomposition.forms import flat_rows
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Indices, Vector
 
 # Poisson's ratio from which on linear elements are much too stiff
 _NEARLY_INCOMPRESSIBLE = 0.49
@@ -61,7 +60,7 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
             )
 
 
-def _samples(forms: PreparedForms, bodies: Bodies) -> NDArray[np.int32]:
+def _samples(forms: PreparedForms, bodies: Bodies) -> Indices:
     """Return some cells of each body and tag, and those where coefficients are extreme."""
     groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
     form = forms.bilinear

@@ -13,7 +13,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from dolfinx.mesh import Mesh
@@ -28,7 +27,7 @@ from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
 from fenics_tfeti.fem.topology import exterior_cell_facets, global_numbers
 from fenics_tfeti.parallel import Directory, concatenate_ranks, send_rows
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -203,9 +202,7 @@ def _shared_nodes(domain: Mesh, nodes: _SurfaceNodes, group: Numbers) -> Vector:
     return concatenate_ranks(domain.comm, x[first[differs]])
 
 
-def _coincident_pairs(
-    domain: Mesh, nodes: _SurfaceNodes, group: NDArray[Any]
-) -> tuple[Vector, Numbers]:
+def _coincident_pairs(domain: Mesh, nodes: _SurfaceNodes, group: Array) -> tuple[Vector, Numbers]:
     """Find pairs of nodes of a group at the same place, except a slave and a master node.
 
     Return the place (n, gdim) and the body (n,) of each pair, on all ranks. Nodes of different

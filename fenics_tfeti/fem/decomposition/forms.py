@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
@@ -18,7 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, dense_tags, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 # geometric quantities of UFL that a translation does not change
 _TRANSLATION_INVARIANT = (
@@ -88,7 +87,7 @@ class PreparedForm:
         coefficients = [np.array(w.x.array, dtype=float) for w in self.form.coefficients()]
         return coefficients + [np.array(c.value, dtype=float) for c in self.form.constants()]
 
-    def cell_data(self) -> list[NDArray[Any]]:
+    def cell_data(self) -> list[Array]:
         """Return tags and coefficients (cells, ...) by which the element matrices may differ."""
         return [*self.tags.values(), *map(_values_of_cells, self.form.coefficients())]
 

@@ -6,7 +6,6 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,7 +16,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-from fenics_tfeti.typing import Indices, Points
+from fenics_tfeti.typing import Array, Indices, Numbers, Points
 
 
 @dataclass(frozen=True)
@@ -128,7 +127,7 @@ def number_parts(
 def find_equal(
     parts: Sequence[Part],
     x: Points,
-    data: Sequence[NDArray[Any]],
+    data: Sequence[Array],
     translation_invariant: bool,
     matrices: Mapping[int, Points],
 ) -> list[int]:
@@ -160,7 +159,7 @@ def find_equal(
     return first
 
 
-def samples(parts: Sequence[Part], data: Sequence[NDArray[Any]]) -> dict[int, NDArray[np.int64]]:
+def samples(parts: Sequence[Part], data: Sequence[Array]) -> dict[int, Numbers]:
     """Choose cells that tell whether rotated parts have rotated stiffness matrices.
 
     Return, for each part of a shape that also occurs rotated, positions among its cells: one cell
@@ -266,7 +265,7 @@ def _sort(part: Part, x: Points) -> Part:
     return Part(part.cells[rows], part.nodes[order], table[rows], part.body, shape)
 
 
-def _inverse(order: NDArray[Any]) -> Indices:
+def _inverse(order: Array) -> Indices:
     """Return the inverse of a permutation."""
     position = np.empty(order.size, dtype=np.int32)
     position[order] = np.arange(order.size, dtype=np.int32)
@@ -282,7 +281,7 @@ def _order_of_rows(table: Indices, numbers: int) -> NDArray[np.intp]:
     return np.lexsort(keys[:, ::-1].T)
 
 
-def _hash(*data: NDArray[Any]) -> bytes:
+def _hash(*data: Array) -> bytes:
     digest = hashlib.sha256()
     for values in data:
         digest.update(f"{values.dtype} {values.shape}".encode())

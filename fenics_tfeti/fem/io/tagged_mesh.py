@@ -8,7 +8,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.mesh import Mesh, meshtags
 
@@ -16,7 +15,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_body_names
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 class Names(dict[str, int]):
@@ -56,7 +55,7 @@ class TaggedMesh:
     names: Names
 
 
-def sorted_tags(mesh: Mesh, dim: int, entities: NDArray[Any], values: NDArray[Any]) -> Any:
+def sorted_tags(mesh: Mesh, dim: int, entities: Array, values: Array) -> Any:
     """Return mesh tags of entities of this rank that are in any order."""
     order = np.argsort(entities)
     return meshtags(mesh, dim, entities[order].astype(np.int32), values[order].astype(np.int32))
