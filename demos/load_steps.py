@@ -33,7 +33,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.io import displacement_space, draw_profile, read_msh
-from fenics_tfeti.models import isotropic
+from fenics_tfeti.models import isotropic, symmetry_plane
 
 here = Path(__file__).parent
 results = Path("results")
@@ -57,11 +57,8 @@ u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
 ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
 a = ufl.inner(isotropic(E, nu)(u), ufl.grad(v)) * ufl.dx
 L = traction * v[2] * ds(tags["flat"])
-bcs = []
-for component, plane in ((0, "symmetry_x"), (1, "symmetry_y")):
-    Vi = V.sub(component)
-    dofs = fem.locate_dofs_topological(Vi, 2, facet_tags.find(tags[plane]))
-    bcs.append(fem.dirichletbc(0.0, dofs, Vi))
+planes = ("symmetry_x", 0), ("symmetry_y", 1)
+bcs = [symmetry_plane(V, facet_tags, tags[name], axis) for name, axis in planes]
 
 ground = Plane(point=(0, 0, 0), normal=(0, 0, 1))
 contact = RigidObstacle(facet_tags, slave=tags["contact"], obstacle=ground)

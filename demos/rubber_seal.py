@@ -25,8 +25,6 @@ Run it by `python demos/rubber_seal.py`, or on several processes by
 `mpirun -n 2 python demos/rubber_seal.py`; it writes pictures into `results/`. All units are SI.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mpi4py import MPI
@@ -34,10 +32,10 @@ from mpi4py import MPI
 import numpy as np
 
 import ufl
-from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, Cylinder, Plane, RigidObstacle
 from fenics_tfeti.io import Box, boxes, displacement_space, draw_deformed, draw_profile, tag_facets
+from fenics_tfeti.models import axisymmetric_strain, small_strain, symmetry_plane
 
 results = Path("results")
 comm = MPI.COMM_WORLD
@@ -56,11 +54,11 @@ X, Y = 5, 6  # planes of symmetry
 one_point = {"quadrature_degree": 0}
 
 
-def stiffness(u, v, strain, weight, dx):
+def stiffness(V, strain, weight=1):
     """Return the form: the shear term with all points, the volumetric term with one."""
-    e, d = strain(u), strain(v)
-    shear = 2 * mu * ufl.inner(e, d) * weight * dx
-    return shear + lmbda * ufl.tr(e) * ufl.tr(d) * weight * dx(metadata=one_point)
+    e, d = strain(ufl.TrialFunction(V)), strain(ufl.TestFunction(V))
+    shear = 2 * mu * ufl.inner(e, d) * weight * ufl.dx
+    return shear + lmbda * ufl.tr(e) * ufl.tr(d) * weight * ufl.dx(metadata=one_point)
 
 
 def sides(r, z):
@@ -83,17 +81,8 @@ def meridian(squeeze, n=12):
     ring = boxes(comm, [Box((a, 0), (a + w, h), (n, n), name="ring")], "quadrilateral")
     mesh = ring.mesh
     facet_tags = tag_facets(mesh, sides(lambda x: x[0], lambda x: x[1]))
-    r = ufl.SpatialCoordinate(mesh)[0]
-    weight = 2 * ufl.pi * r
-
-    def strain(u):
-        e = ufl.sym(ufl.grad(u))
-        return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
-
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    form = stiffness(u, v, strain, weight, ufl.dx)
-    L = ufl.inner(fem.Constant(mesh, np.zeros(2)), v) * ufl.dx
+    weight = 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0]
+    form = stiffness(displacement_space(mesh), axisymmetric_strain, weight)
     groove = {
         "floor": Plane((0, 0), (0, 1)),
         "lid": Plane((0, h - squeeze), (0, -1)),
@@ -103,7 +92,7 @@ def meridian(squeeze, n=12):
     contacts = [
         RigidObstacle(facet_tags, slave=SIDES[side], obstacle=wall) for side, wall in groove.items()
     ]
-    return ContactProblem(form, L, contacts=contacts, measure_weight=weight)
+    return ContactProblem(form, 0, contacts=contacts, measure_weight=weight)
 
 
 # ## In space
@@ -123,17 +112,8 @@ def quarter(squeeze, n=6, around=48):
     r, angle = mesh.geometry.x[:, 0].copy(), mesh.geometry.x[:, 1].copy()
     mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = r * np.cos(angle), r * np.sin(angle)
 
-    def strain(u):
-        return ufl.sym(ufl.grad(u))
-
     V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    form = stiffness(u, v, strain, 1, ufl.dx)
-    L = ufl.inner(fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
-    bcs = []
-    for component, tag in ((0, X), (1, Y)):
-        dofs = fem.locate_dofs_topological(V.sub(component), 2, facet_tags.find(tag))
-        bcs.append(fem.dirichletbc(0.0, dofs, V.sub(component)))
+    bcs = [symmetry_plane(V, facet_tags, tag, axis) for axis, tag in enumerate((X, Y))]
     axis = {"point": (0, 0, 0), "axis": (0, 0, 1)}
     groove = {
         "floor": Plane((0, 0, 0), (0, 0, 1)),
@@ -144,7 +124,7 @@ def quarter(squeeze, n=6, around=48):
     contacts = [
         RigidObstacle(facet_tags, slave=SIDES[side], obstacle=wall) for side, wall in groove.items()
     ]
-    return ContactProblem(form, L, bcs=bcs, contacts=contacts)
+    return ContactProblem(stiffness(V, small_strain), 0, bcs=bcs, contacts=contacts)
 
 
 # ## Force of the lid
