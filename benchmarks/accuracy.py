@@ -21,7 +21,7 @@ import general
 import numpy as np
 import products
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.io import read_msh
 
 
@@ -34,10 +34,7 @@ def tetrahedra() -> ContactProblem:
     """Return the two beams of unstructured tetrahedra in the default subdomains."""
     with tempfile.TemporaryDirectory() as folder:
         paths = general.make_meshes(12, Path(folder))
-        scene = general.Beams(read_msh(paths["contact"]))
-    upper, lower = (scene.tags[name] for name in general.CONTACT)
-    pair = ContactPair(scene.facet_tags, slave=upper, master=lower)
-    return ContactProblem(scene.a, scene.L, bcs=scene.bcs, contacts=[pair])
+        return general.Beams(read_msh(paths["contact"])).contact()
 
 
 PROBLEMS: dict[str, Callable[[], ContactProblem]] = {

@@ -13,16 +13,14 @@ import time
 from mpi4py import MPI
 
 import numpy as np
+import scenes
+from scenes import Scene
 
 import ufl
-from dolfinx import fem
-from dolfinx.mesh import Mesh
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
-CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 PLAIN = {
     "method": "smalbe",
     "mprgp_expansion": "standard",
@@ -31,13 +29,22 @@ PLAIN = {
 }
 
 
-def cube_of_cells(mesh: Mesh, cell_tags, per_metre: int) -> np.ndarray:
-    """Number the cube that holds each cell of this rank."""
-    owned = mesh.topology.index_map(3).size_local
-    corners = mesh.geometry.x[_compat.geometry_cells(mesh)[:owned]]
-    x, y, z = np.floor(per_metre * corners.mean(axis=1)).astype(np.int64).T
-    size = 4 * per_metre
-    return ((cell_tags.values[:owned] * size + x) * size + y) * size + z
+def cubes(scene: Scene, per_metre: int) -> np.ndarray:
+    """Number the cube, or square, that holds each cell of this rank."""
+    owned = scene.mesh.topology.index_map(scene.gdim).size_local
+    corners = scene.mesh.geometry.x[_compat.geometry_cells(scene.mesh)[:owned], : scene.gdim]
+    number = scene.cell_tags.values[:owned].astype(np.int64)
+    for place in np.floor(per_metre * corners.mean(axis=1)).astype(np.int64).T:
+        number = 4 * per_metre * number + place
+    return number
+
+
+def sheets(comm: MPI.Intracomm, cell: str, n: int) -> Scene:
+    """Return the beams in plane strain, loaded at the top alone, with n cells per metre."""
+    scene = scenes.beams(comm, cell, n)
+    upwards = ufl.FacetNormal(scene.mesh)[1]  # zero at the left face
+    scene.L = scene.constant(-scenes.TRACTION) * upwards * scene.v[1] * scene.ds(scenes.LOADED)
+    return scene
 
 
 def build(
@@ -45,44 +52,10 @@ def build(
 ) -> ContactProblem:
     """Return the problem of demos/two_beams.py, with the cubes as subdomains."""
     n = subdomains_per_metre * elements_per_subdomain
-    lower = Box((0, 0, 0), (2, 1, 1), (2 * n, n, n))
-    upper = Box((1, 0, 1), (3, 1, 2), (2 * n, n, n))
-    tagged = boxes(MPI.COMM_WORLD, [lower, upper])
-    mesh, cell_tags = tagged.mesh, tagged.cell_tags
-    facet_tags = tag_facets(
-        mesh,
-        [
-            (CLAMPED, lambda x: np.isclose(x[0], 0), 1),
-            (GUIDED, lambda x: np.isclose(x[0], 3), 2),
-            (SLAVE, lambda x: np.isclose(x[2], 1) & (x[0] < 2 + 1e-9), 2),
-            (MASTER, lambda x: np.isclose(x[2], 1) & (x[0] > 1 - 1e-9), 1),
-            (LOADED, lambda x: np.isclose(x[2], 2), 2),
-            (LOADED, lambda x: np.isclose(x[0], 1), 2),
-        ],
-        cell_tags,
-    )
-    V = displacement_space(mesh)
-    mu, lmbda = (fem.Constant(mesh, 2.1e11 * factor) for factor in (1 / 2.6, 0.3 / 0.52))
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-
-    def strain(w):
-        return ufl.sym(ufl.grad(w))
-
-    stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(3) + 2 * mu * strain(u)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
-    fixed = fem.locate_dofs_topological(V, 2, facet_tags.find(CLAMPED))
-    bcs = [fem.dirichletbc(np.zeros(3), fixed, V)]
-    for component in (0, 1):
-        part = V.sub(component)
-        dofs = fem.locate_dofs_topological(part, 2, facet_tags.find(GUIDED))
-        bcs.append(fem.dirichletbc(0.0, dofs, part))
-    return ContactProblem(
-        ufl.inner(stress, strain(v)) * ufl.dx,
-        ufl.inner(traction, v) * ds(LOADED),
-        bcs=bcs,
-        contacts=[ContactPair(facet_tags, slave=SLAVE, master=MASTER)],
-        subdomains=cube_of_cells(mesh, cell_tags, subdomains_per_metre),
+    scene = scenes.two_beams(MPI.COMM_WORLD, "hexahedron", n)
+    return scene.problem(
+        cell_tags=None,
+        subdomains=cubes(scene, subdomains_per_metre),
         options={"rtol": rtol, **(PLAIN if plain else {})},
     )
 

@@ -9,24 +9,20 @@ as in the full size, and this.
 
 from __future__ import annotations
 
-import sys
-import tempfile
+import itertools
 import time
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
+from mesh_arrays import of_function
+from roller_bearing import Bearing, roller_bearing, subdomain_labels
+from scenes import Scene
 
-import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
-from fenics_tfeti import ContactPair, ContactProblem, Exact
-from fenics_tfeti.io import displacement_space, read_msh
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "meshes"))
-from roller_bearing import Bearing, roller_bearing, subdomain_labels
+from fenics_tfeti import Exact
 
 COARSE = {"elements": 2, "growth": 1.2, "coarsest": 0.03, "layers": 4}
 FINER = {"elements": 2, "growth": 1.0, "coarsest": 0.025, "layers": 6}
@@ -43,58 +39,25 @@ comm = MPI.COMM_WORLD
 
 def problem_of(bearing, slices, tolerance, load=LOAD):
     """Return the problem of a bearing, cut equally in all sectors."""
-    path = Path(comm.bcast(tempfile.mkdtemp() if comm.rank == 0 else None)) / "bearing.msh"
-    if comm.rank == 0:
-        roller_bearing(path, bearing)
-    comm.barrier()
-    bodies = read_msh(path, comm, gdim=3)
-    comm.barrier()
-    if comm.rank == 0:
-        path.unlink()
-        path.parent.rmdir()
-    mesh, tags, names = bodies.mesh, bodies.facet_tags, bodies.names
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu, lmbda = 2.1e11 / 2.6, 2.1e11 * 0.3 / (1.3 * 0.4)
-    strain = ufl.sym(ufl.grad(u))
-    a = (2 * mu * ufl.inner(strain, ufl.grad(v)) + lmbda * ufl.div(u) * ufl.div(v)) * ufl.dx
-    bore = ufl.Measure("ds", domain=mesh, subdomain_data=tags)(names["bore"])
-    area = comm.allreduce(fem.assemble_scalar(fem.form(fem.Constant(mesh, 1.0) * bore)))
-    outside = fem.locate_dofs_topological(V, 2, tags.find(names["outside"]))
+    bodies = of_function(roller_bearing, 3, bearing, comm=comm)
+    names, scene = bodies.names, Scene.of(bodies)
+    mesh, bore = scene.mesh, scene.ds(names["bore"])
+    area = comm.allreduce(fem.assemble_scalar(fem.form(scene.constant(1.0) * bore)))
+    scene.add_load(names["bore"], load / area)
+    scene.fix(names["outside"])
     rows = range(1, bearing.rows + 1)
-    contacts = [
-        ContactPair(
-            tags,
-            slave=names[f"rollers {row} {side}"],
-            master=names[f"{side} raceway {row}"],
-            normal=bearing.away_from_axis(row),
-        )
-        for row in rows
-        for side in ("outer", "inner")
-    ]
-    if bearing.cage:
-        contacts += [
-            ContactPair(tags, slave=names[f"pockets {r}"], master=names[f"rollers {r} side"])
-            for r in rows
-        ]
+    for row, side in itertools.product(rows, ("outer", "inner")):
+        slave, master = names[f"rollers {row} {side}"], names[f"{side} raceway {row}"]
+        scene.add_pair(slave, master, normal=bearing.away_from_axis(row))
+    for row in rows if bearing.cage else ():
+        scene.add_pair(names[f"pockets {row}"], names[f"rollers {row} side"])
     owned = mesh.topology.index_map(3).size_local
     middles = compute_midpoints(mesh, 3, np.arange(owned, dtype=np.int32))
     cells = {body: bodies.cell_tags.find(names[body]) for body in bearing.names}
-    labels = subdomain_labels(bearing, cells, middles, slices)
-    options = {
-        "rtol": 1e-4,
-        "preconditioner": "dirichlet",
-        "deflation": "on",
-    }
-    return ContactProblem(
-        a,
-        ufl.inner(fem.Constant(mesh, load / area), v) * bore,
-        bcs=[fem.dirichletbc(np.zeros(3), outside, V)],
-        contacts=contacts,
-        cell_tags=bodies.cell_tags,
-        subdomains=labels,
+    return scene.problem(
+        subdomains=subdomain_labels(bearing, cells, middles, slices),
         geometry=Exact(tolerance),
-        options=options,
+        options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
     )
 
 

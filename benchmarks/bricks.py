@@ -12,19 +12,18 @@ is printed, when the forms are compiled. The ground carries the weight: the erro
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from scenes import Scene, at, elasticity, plane
 
 import ufl
-from dolfinx import fem
 from dolfinx.mesh import meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle
-from fenics_tfeti.io import Box, TaggedMesh, boxes, displacement_space, tag_facets
+from fenics_tfeti import ContactProblem
+from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 
 # length, width and height of a brick, and width of a head joint [m]
 BRICK, JOINT = (0.24, 0.115, 0.071), 0.01
@@ -63,14 +62,10 @@ def bed_joints(made: TaggedMesh, course_of: list[int]) -> Any:
     course = 1 + np.array(course_of, dtype=np.int32)[cell_tags.values - 1]
     courses = meshtags(mesh, mesh.topology.dim, cell_tags.indices, course)
     axis = mesh.geometry.dim - 1
-
-    def at(height: float) -> Callable[[Any], Any]:
-        return lambda x: np.isclose(x[axis], height)
-
-    markers = [(GROUND, at(0.0), 1)]
+    markers = [(GROUND, at(axis, 0.0), 1)]
     for number in range(1, max(course_of) + 1):
-        height = number * BRICK[2]
-        markers += [(TOP + number, at(height), number), (BOTTOM + number, at(height), number + 1)]
+        bed = at(axis, number * BRICK[2])
+        markers += [(TOP + number, bed, number), (BOTTOM + number, bed, number + 1)]
     return tag_facets(mesh, markers, courses)
 
 
@@ -78,22 +73,14 @@ def problem(bricks: int, gdim: int) -> ContactProblem:
     """Return the wall on the ground."""
     parts, course_of = wall(bricks, gdim)
     made = boxes(MPI.COMM_WORLD, parts, "quadrilateral" if gdim == 2 else "hexahedron")
-    mesh, facet_tags = made.mesh, bed_joints(made, course_of)
-    space = displacement_space(mesh)
-    u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    strain = ufl.sym(ufl.grad(u))
-    stress = 5e9 * (ufl.tr(strain) * ufl.Identity(gdim) + 2.0 * strain)
-    up = np.eye(gdim)[-1]
-    weight = fem.Constant(mesh, -WEIGHT * up)
-    joints = [
-        ContactPair(facet_tags, slave=TOP + number, master=BOTTOM + number)
-        for number in range(1, max(course_of) + 1)
-    ]
-    return ContactProblem(
-        ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx,
-        ufl.inner(weight, v) * ufl.dx,
-        contacts=[*joints, RigidObstacle(facet_tags, GROUND, Plane(np.zeros(gdim), up))],
-    )
+    scene = Scene(made.mesh, bed_joints(made, course_of))
+    # Lame's parameters are equal
+    scene.a = elasticity(scene.u, scene.v, 2.5 * 5e9, poisson=0.25)
+    scene.L = scene.constant(-WEIGHT) * scene.v[gdim - 1] * ufl.dx
+    for number in range(1, max(course_of) + 1):
+        scene.add_pair(TOP + number, BOTTOM + number)
+    scene.add_obstacle(GROUND, plane(gdim - 1, gdim))
+    return scene.problem()
 
 
 def measure(bricks: int, gdim: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Coarse matrices of the beams of ladder.py: entries of the factor, time and messages of a solve.
 
-    mpirun -n 4 python benchmarks/coarse.py [--subdomains-per-metre 3 5 7] [--json out.json]
+    mpirun -n 4 python benchmarks/run.py coarse [--subdomains-per-metre 3 5 7] [--json out.json]
 
 Every second contact row is on the face. Redundant on every rank with CHOLMOD; distributed over some
 of the ranks with MUMPS; iterative with GAMG. Processor time and time of the clock. The calls of
@@ -9,14 +9,11 @@ MUMPS are counted if `count_calls.so` (see `count_calls.c`) is preloaded: mpirun
 
 from __future__ import annotations
 
-import argparse
 import ctypes
 import itertools
-import json
 import os
 import time
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -48,13 +45,14 @@ class Counts:
         if self._counter is not None:
             self._counter.reset_counts()
 
-    def largest(self) -> list[int] | None:
-        """Return the maxima over the ranks."""
+    def largest(self, solves: int = 1) -> dict[str, float]:
+        """Return the maxima over the ranks for each solve."""
         if self._counter is None:
-            return None
+            return {}
         result = (ctypes.c_long * 3)()
         self._counter.call_counts(result)
-        return [comm.allreduce(number, MPI.MAX) for number in result]
+        numbers = [comm.allreduce(number, MPI.MAX) / solves for number in result]
+        return dict(zip(("messages", "bytes", "collective"), numbers, strict=True))
 
 
 def coarse_space(m: int, solver: str) -> CoarseSpace:
@@ -67,10 +65,10 @@ def coarse_space(m: int, solver: str) -> CoarseSpace:
     return CoarseSpace.build(system, constraints, interface, kernels, "cholmod", solver)
 
 
-def measure(m: int, solver: str, groups: int | None) -> dict[str, Any]:
+def measure(m: int, solver: str, groups: int) -> dict[str, Any]:
     """Factor the matrix of a face and solve with it; return the largest times, and counts."""
     space, counts = coarse_space(m, solver), Counts()
-    if groups is not None:
+    if groups:
         space = replace(space, layout=replace(space.layout, groups=groups))
     first_half = np.arange(space.constraints.inequality.size) % 2 == 0
     comm.Barrier()
@@ -86,9 +84,12 @@ def measure(m: int, solver: str, groups: int | None) -> dict[str, Any]:
     for _ in range(SOLVES):
         factor.solve(b)
     solving = (np.array([time.process_time(), time.perf_counter()]) - begin) / SOLVES
-    of_solves = counts.largest()
-    # processor time and time of the clock
-    times = [comm.allreduce(seconds, MPI.MAX) for seconds in (*factoring, *solving)]
+    of_solves = counts.largest(SOLVES)
+
+    def slowest(seconds: np.ndarray) -> dict[str, float]:
+        names = ("processor", "clock")
+        return {k: comm.allreduce(t, MPI.MAX) for k, t in zip(names, seconds, strict=True)}
+
     return {
         "ranks": comm.size,
         "solver": solver,
@@ -96,41 +97,15 @@ def measure(m: int, solver: str, groups: int | None) -> dict[str, Any]:
         "size": space.size,
         "groups": space.layout.groups if solver == "distributed" else None,
         "entries": comm.allreduce(factor.entries, MPI.MAX),
-        "factorisation": times[:2],
-        "solve": times[2:],
-        "calls of the factorisation": of_factor,
-        "calls of a solve": None if of_solves is None else [n / SOLVES for n in of_solves],
+        "factorisation": slowest(factoring) | of_factor,
+        "solve": slowest(solving) | of_solves,
         "auto": choose_coarse_solver(comm.size, space.size),
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--subdomains-per-metre", type=int, nargs="+", default=[2, 3, 5, 7])
-    parser.add_argument(
-        "--groups", type=int, help="ranks that share a factor, by default as counted"
-    )
-    parser.add_argument("--solvers", nargs="+", default=["redundant", "distributed", "iterative"])
-    parser.add_argument("--json", metavar="FILE")
-    arguments = parser.parse_args()
-    table = []
-    for solver, m in itertools.product(arguments.solvers, arguments.subdomains_per_metre):
-        row = measure(m, solver, arguments.groups)
-        table.append(row)
-        if comm.rank == 0:
-            on = "" if row["groups"] is None else f" on {row['groups']}"
-            print(
-                f"{row['ranks']:3} {solver + on:17} {row['subdomains']:5} {row['size']:6} entries "
-                f"{row['entries']:9,}  factorisation {row['factorisation'][0]:.3f} s, solve "
-                f"{1e3 * row['solve'][0]:.2f} ms (clock: {row['factorisation'][1]:.3f} s, "
-                f"{1e3 * row['solve'][1]:.2f} ms)  messages, bytes, collective calls: "
-                f"{row['calls of the factorisation']}, {row['calls of a solve']}; "
-                f"auto: {row['auto']}",
-                flush=True,
-            )
-    if arguments.json and comm.rank == 0:
-        Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+def run(
+    subdomains_per_metre=(2, 3, 5, 7), groups=0, solvers=("redundant", "distributed", "iterative")
+):
+    """Factor and solve for each size; `groups` ranks share a factor, by default as counted."""
+    for solver, m in itertools.product(solvers, subdomains_per_metre):
+        yield measure(m, solver, groups)

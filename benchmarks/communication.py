@@ -1,6 +1,6 @@
 """Messages, reductions and bytes per iteration, counted on the communicator.
 
-    mpirun -n 4 python benchmarks/communication.py [--subdomains-per-metre 3] [--json out.json]
+    mpirun -n 4 python benchmarks/run.py communication [--subdomains-per-metre 3] [--json out.json]
 
 The two beams of `ladder.py`, with the cubes distributed over the ranks. The solver gets a
 communicator that records every call. MUMPS uses its own communicators, so its messages in a
@@ -9,15 +9,12 @@ distributed coarse solve are not counted here.
 
 from __future__ import annotations
 
-import argparse
 import itertools
-import json
 import pickle
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from mpi4py import MPI
@@ -44,14 +41,7 @@ _FEW = 8
 class Call:
     """A call of a communicator, or a mark among the calls.
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the call.
-    messages : int
-        Messages that this rank sends, counted in exchanges only.
-    bytes : int
-        Bytes that this rank receives.
+    Bytes are those that this rank receives; messages that it sends are counted in exchanges only.
     """
 
     kind: str
@@ -62,11 +52,8 @@ class Call:
 class CountingComm(MPI.Intracomm):
     """A communicator that records its calls.
 
-    Attributes
-    ----------
-    calls : list of Call
-        An entry for each collective call and one for each exchange (receives, and what is sent
-        before the next receive), and the marks.
+    There is an entry for each collective call and one for each exchange (receives, and what is sent
+    before the next receive), and the marks.
     """
 
     calls: list[Call]
@@ -146,32 +133,16 @@ def marks(comm: CountingComm) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Tally:
-    """Counts of some calls.
+    """Counts of some calls."""
 
-    Attributes
-    ----------
-    reductions : int
-        Reductions of a few numbers.
-    coarse : int
-        Reductions and gatherings of coarse vectors.
-    exchanges, coarse_exchanges : int
-        Exchanges with neighbours of multipliers, and of coarse unknowns.
-    pickled, all_to_all : int
-        Collective calls that send objects; those from each rank to each other one.
-    messages : int
-        Messages sent in exchanges.
-    exchange_bytes, coarse_bytes, pickled_bytes : int
-        Bytes received in exchanges, coarse vectors and objects.
-    """
-
-    reductions: int
-    coarse: int
-    exchanges: int
-    coarse_exchanges: int
-    pickled: int
-    all_to_all: int
-    messages: int
-    exchange_bytes: int
+    reductions: int  # of a few numbers
+    coarse: int  # reductions and gatherings of coarse vectors
+    exchanges: int  # of multipliers, with neighbours
+    coarse_exchanges: int  # of coarse unknowns
+    pickled: int  # collective calls that send objects
+    all_to_all: int  # from each rank to each other one
+    messages: int  # sent in exchanges
+    exchange_bytes: int  # received
     coarse_bytes: int
     pickled_bytes: int
 
@@ -246,38 +217,16 @@ def measure(system: TornSystem, options: Options) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--subdomains-per-metre", type=int, default=2, metavar="m")
-    parser.add_argument("--elements-per-subdomain", type=int, default=6, metavar="H/h")
-    parser.add_argument("--coarse-solver", nargs="+", default=["redundant", "distributed"])
-    parser.add_argument("--json", metavar="FILE")
-    arguments = parser.parse_args()
+CHOICES = {"coarse_solver": ["redundant", "distributed"]}
+
+
+def run(
+    subdomains_per_metre=2, elements_per_subdomain=6, coarse_solver=("redundant", "distributed")
+):
+    """Solve by each method with each coarse solver: the usual iteration, the mean, the set-up."""
     comm = MPI.COMM_WORLD
-    m, n = arguments.subdomains_per_metre, arguments.elements_per_subdomain
-    system = dealt(ladder.two_beams(m, n, softer=False), comm)
-    table = []
-    if comm.rank == 0:
-        print("per product: inner products, coarse vectors, exchanges, coarse exchanges, messages;")
-        print("in brackets the mean over all products of the solve")
-    for (method, given), solver in itertools.product(METHODS.items(), arguments.coarse_solver):
+    beams = ladder.two_beams(subdomains_per_metre, elements_per_subdomain, softer=False)
+    system = dealt(beams, comm)
+    for (method, given), solver in itertools.product(METHODS.items(), coarse_solver):
         row = measure(system, Options(coarse_solver=solver, **given))
-        table.append({"method": method, "coarse solver": solver, **row})
-        if comm.rank == 0:
-            names = ("reductions", "coarse", "exchanges", "coarse_exchanges", "messages")
-            counts = " ".join(f"{row['iteration'][k]:3} ({row['mean'][k]:4.1f})" for k in names)
-            one = row["iteration"]
-            print(
-                f"{comm.size:3} {row['subdomains']:5} {method:14} {solver:11} {counts}  "
-                f"exchanged {one['exchange_bytes']:,} B, coarse {one['coarse_bytes']:,} B, "
-                f"pickled {one['pickled'] + one['all_to_all']} ({row['mean']['pickled']:.1f})",
-                flush=True,
-            )
-    if comm.rank == 0:
-        print(f"set-up: {table[0]['set-up']}")
-        if arguments.json:
-            Path(arguments.json).write_text(json.dumps(table, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+        yield {"method": method, "coarse solver": solver, **row}

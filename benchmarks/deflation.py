@@ -14,26 +14,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
 
+import beams as two_beams
 import materials
 import numpy as np
+from communication import dealt
+from mesh_arrays import of_function
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
-from fenics_tfeti.feti import ContactRows, TornSolver, TornSystem, parse_options
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti.feti import TornSolver, TornSystem, parse_options
 
 comm = MPI.COMM_WORLD
-CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 1, 2, 3, 4, 5
 PATIENT = {"smalbe_patience": 1000}  # SMALBE-M alone
 WAYS = {
     "lumped": {"preconditioner": "lumped"},
@@ -49,51 +42,20 @@ WAYS = {
 
 def sheets(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
     """Return a function of the stiff part and the ratio: two sheets in plane strain."""
-    n = elements_per_metre
-    lower = Box((0, 0), (2, 1), divisions=(2 * n, n), name="lower")
-    upper = Box((1, 1), (3, 2), divisions=(2 * n, n), name="upper")
-    bodies = boxes(MPI.COMM_SELF, [lower, upper], "triangle")
-    mesh = bodies.mesh
+    scene = two_beams.sheets(MPI.COMM_SELF, "triangle", elements_per_metre)
+    return systems(materials.Beams(scene), size, SHEET)
 
-    def on(axis: int, value: float, low: float = -np.inf, high: float = np.inf) -> Any:
-        return lambda x: np.isclose(x[axis], value) & (x[0] >= low - 1e-9) & (x[0] <= high + 1e-9)
 
-    markers = [
-        (CLAMPED, on(0, 0.0)),
-        (GUIDED, on(0, 3.0)),
-        (SLAVE, on(1, 1.0, 1.0, 2.0), bodies.names["upper"]),
-        (MASTER, on(1, 1.0, 1.0, 2.0), bodies.names["lower"]),
-        (LOADED, on(1, 2.0)),
-    ]
-    facet_tags = tag_facets(mesh, markers, bodies.cell_tags)
-    constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
-    young = fem.Function(constant)
-    places = constant.tabulate_dof_coordinates().T
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu, lmbda = young / 2.6, young * 0.3 / 0.52
+def beams(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
+    """Return a function of the stiff part and the ratio: two beams of tetrahedra."""
+    tagged = of_function(materials.write_mesh, 3, 2, elements_per_metre)
+    return systems(materials.two_beams(tagged), size, BEAM)
 
-    def strain(w: Any) -> Any:
-        return ufl.sym(ufl.grad(w))
 
-    stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(2) + 2 * mu * strain(u)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    a = ufl.inner(stress, strain(v)) * ufl.dx
-    L = fem.Constant(mesh, -20e6) * v[1] * ds(LOADED)
-    clamped = fem.locate_dofs_topological(V, 1, facet_tags.find(CLAMPED))
-    guided = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(GUIDED))
-    bcs = [fem.dirichletbc(np.zeros(2), clamped, V), fem.dirichletbc(0.0, guided, V.sub(0))]
-    bodies_of_mesh = find_bodies(mesh, None)
-    labels = np.zeros(places.shape[1], dtype=np.int64)
-    for number, cells in enumerate(split_into_subdomains(V, bodies_of_mesh, size, "scotch")):
-        labels[cells] = number
-
-    def system(name: str, ratio: float) -> TornSystem:
-        young.x.array[:] = materials.SOFT * np.where(SHEET[name](places), ratio, 1.0)
-        contacts = [ContactPair(facet_tags, slave=SLAVE, master=MASTER)]
-        return ContactProblem(a, L, bcs=bcs, contacts=contacts, subdomains=labels).system
-
-    return system
+def systems(bodies: materials.Beams, size: int, stiff: dict[str, Any]) -> Callable[..., TornSystem]:
+    """Return a function of the stiff part and the ratio, for subdomains of SCOTCH."""
+    labels = bodies.cut(size)
+    return lambda name, ratio: bodies.problem(stiff[name], ratio, labels).system
 
 
 def sheet_fibres(x: materials.Places) -> np.ndarray:
@@ -116,25 +78,6 @@ BEAM = {
     "fibres": materials.fibres,
     "inclusions": materials.inclusions,
 }
-
-
-def beams(elements_per_metre: int, size: int) -> Callable[..., TornSystem]:
-    """Return a function of the stiff part and the ratio: two beams of tetrahedra."""
-    tagged = materials.Beams(materials.read_mesh(2, elements_per_metre, MPI.COMM_SELF))
-    cut = tagged.cut(size)
-
-    def system(name: str, ratio: float) -> TornSystem:
-        return tagged.problem(materials.Case(BEAM[name], False), ratio, cut).system
-
-    return system
-
-
-def dealt(system: TornSystem) -> TornSystem:
-    """Return this rank's share of the subdomains: neighbours in their numbers."""
-    chosen = np.array_split(np.arange(len(system.subdomains)), comm.size)[comm.rank]
-    contacts = system.contacts if comm.rank == 0 else ContactRows.none(system.gdim)
-    share = [system.subdomains[k] for k in chosen]
-    return replace(system, subdomains=share, contacts=contacts, comm=comm)
 
 
 # -- table ---------------------------------------------------------------------------------------
@@ -189,7 +132,7 @@ def run(
         system = make(elements_per_metre[gdim - 2], subdomain_size[gdim - 2])
         jumps = [(name, ratio) for name in ("fibres", "inclusions") for ratio in ratios]
         for name, ratio in [("uniform", 1.0), *jumps]:
-            share = dealt(system(name, ratio))
+            share = dealt(system(name, ratio), comm)
             for kind in ("off", "auto") if plain else ("auto",):
                 case = {"gdim": gdim, "case": name, "ratio": ratio, "kind": kind}
                 for way, options in WAYS.items():

@@ -9,20 +9,15 @@ divided once across, is pulled over a drum.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 from mpi4py import MPI
 
 import numpy as np
+from friction_scenes import belt, pulled_plate
+from scenes import Scene, at
 
 import ufl
 
 from fenics_tfeti import Coulomb, Tresca
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
-from friction_scenes import belt, pulled_plate
-from scenes import Scene, at
 
 # laws of each scene and divisions; the belt's are coefficients
 SCENES = {

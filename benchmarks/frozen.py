@@ -20,6 +20,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from runner import on_ranks
+
 ROOT = Path(__file__).parent.parent
 KEPT = Path(__file__).with_name("frozen.json")
 FUZZ = ROOT / "tests" / "fuzz" / "run.py"
@@ -97,14 +99,9 @@ def solves(ranks: int, script: str, arguments: list[str], folder: Path) -> list[
             for line in lines
         ]
     command = [sys.executable, __file__, "--record", str(output), str(ROOT / script), *arguments]
-    if ranks > 1:
-        command = ["mpirun", "--oversubscribe", "-n", str(ranks), *command]
-    more = {"OMP_NUM_THREADS": "1", "OMPI_ALLOW_RUN_AS_ROOT": "1"}
-    more |= {"OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-    more["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
-    subprocess.run(
-        command, cwd=folder, env=os.environ | more, stdout=subprocess.DEVNULL, check=True
-    )
+    path = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    quiet = {"stdout": subprocess.DEVNULL, "check": True}
+    on_ranks(command, ranks, cwd=folder, env={"PYTHONPATH": path}, **quiet)
     return [json.loads(line) for line in output.read_text().splitlines()]
 
 

@@ -18,7 +18,6 @@ after the solve, and printed.
 from __future__ import annotations
 
 import itertools
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -30,19 +29,19 @@ from petsc4py import PETSc
 
 import numpy as np
 from runner import separately
+from scenes import Scene
 
-import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.feti import Timer
 from fenics_tfeti.feti.report.report import peak_memory
-from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
+from fenics_tfeti.io import TaggedMesh, read_msh
 
-MESHES = Path(__file__).parents[1] / "meshes"
 CHOICES = {"only": ["contact", "glued"]}
 CONTACT = ("contact_upper", "contact_lower")
+SUPPORTED = [("clamped", 0), ("clamped", 1), ("clamped", 2), ("guided", 0), ("guided", 1)]
 # At 0.1 million unknowns no combination of thresholds from 0 to 0.05, 0 to 2 aggressive levels and
 # 1 to 4 smoothing steps is more than 6 % faster. Without an aggressive level the solve takes four
 # to five times as long.
@@ -64,31 +63,31 @@ class Beams:
     """Forms and supports as in demos/two_beams.py, on the mesh of two bodies or the glued one."""
 
     def __init__(self, tagged: TaggedMesh) -> None:
-        mesh, facet_tags, tags = tagged.mesh, tagged.facet_tags, tagged.names
-        self.facet_tags, self.tags = facet_tags, tags
-        self.space = displacement_space(mesh)
-        mu, lmbda = (fem.Constant(mesh, 2.1e11 * factor) for factor in (1 / 2.6, 0.3 / 0.52))
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        strain = ufl.sym(ufl.grad(u))
-        stress = lmbda * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * strain
-        ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-        traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
-        self.a = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
-        self.L = ufl.inner(traction, v) * ds(tags["loaded"])
-        wanted = [("clamped", 0), ("clamped", 1), ("clamped", 2), ("guided", 0), ("guided", 1)]
-        self.fixed = np.unique(np.concatenate([self.dofs(*where) for where in wanted]))
-        self.bcs = [
-            fem.dirichletbc(0.0, self.dofs(*where), self.space.sub(where[1])) for where in wanted
-        ]
+        self.tags, self.scene = tagged.names, Scene.of(tagged)
+        self.scene.add_load(self.tags["loaded"], np.array([0.0, 0.0, -20e6]))
+        for surface, component in SUPPORTED:
+            self.scene.fix(self.tags[surface], component)
+        self.fixed = np.unique(np.concatenate([self.dofs(*where) for where in SUPPORTED]))
 
     def dofs(self, surface: str, component: int) -> Any:
         """Return the degrees of freedom of one component on a surface."""
-        facets = self.facet_tags.find(self.tags[surface])
-        return fem.locate_dofs_topological(self.space.sub(component), 2, facets)
+        facets = self.scene.facet_tags.find(self.tags[surface])
+        return fem.locate_dofs_topological(self.scene.V.sub(component), 2, facets)
+
+    def contact(self, **options: Any) -> ContactProblem:
+        """Return the problem of the two bodies."""
+        self.scene.add_pair(*(self.tags[name] for name in CONTACT))
+        return self.scene.problem(cell_tags=None, options=options)
+
+    def stiffness(self) -> PETSc.Mat:
+        """Assemble the stiffness, with ones on the diagonal at supports."""
+        A = fem_petsc.assemble_matrix(fem.form(self.scene.a), bcs=self.scene.bcs)
+        A.assemble()
+        return A
 
     def load(self) -> PETSc.Vec:
         """Assemble the load; zero at the supports."""
-        b = fem_petsc.assemble_vector(fem.form(self.L))
+        b = fem_petsc.assemble_vector(fem.form(self.scene.L))
         b.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
         self.clear(b, self.fixed)
         return b
@@ -111,22 +110,14 @@ def relative_residual(A: PETSc.Mat, x: PETSc.Vec, b: PETSc.Vec, without: Any) ->
 def solve_contact(path: Path, rtol: float, options: dict[str, str]) -> dict[str, Any]:
     """Solve by ContactProblem; return a row of the table."""
     beams = Beams(read_msh(path))
-    comm = beams.space.mesh.comm
+    comm = beams.scene.mesh.comm
     before = peak_memory(comm)
     begin = _now(comm)
-    upper, lower = (beams.tags[name] for name in CONTACT)
-    problem = ContactProblem(
-        beams.a,
-        beams.L,
-        bcs=beams.bcs,
-        contacts=[ContactPair(beams.facet_tags, slave=upper, master=lower)],
-        options={"rtol": rtol, **options},
-    )
+    problem = beams.contact(rtol=rtol, **options)
     uh = problem.solve()
     seconds, processor = _now(comm) - begin
     report = problem.report
-    A = fem_petsc.assemble_matrix(fem.form(beams.a), bcs=beams.bcs)
-    A.assemble()
+    A = beams.stiffness()
     x = A.createVecRight()
     x.array_w[:] = uh.x.array[: x.getLocalSize()]
     # the normal is along z
@@ -151,16 +142,15 @@ def solve_contact(path: Path, rtol: float, options: dict[str, str]) -> dict[str,
 def solve_glued(path: Path, rtol: float) -> dict[str, Any]:
     """Solve the linear problem by CG with GAMG; return a row of the table."""
     beams = Beams(read_msh(path))
-    comm = beams.space.mesh.comm
+    comm = beams.scene.mesh.comm
     before = peak_memory(comm)
     timer, begin = Timer(), _now(comm)
     with timer.phase("assembly"):
-        A = fem_petsc.assemble_matrix(fem.form(beams.a), bcs=beams.bcs)
-        A.assemble()
+        A = beams.stiffness()
         A.setOption(PETSc.Mat.Option.SPD, True)
         b = beams.load()
     with timer.phase("set-up"):
-        nodes = beams.space.tabulate_dof_coordinates()[: b.getLocalSize() // 3]
+        nodes = beams.scene.V.tabulate_dof_coordinates()[: b.getLocalSize() // 3]
         points = b.duplicate()
         points.setBlockSize(3)
         points.array_w[:] = nodes.ravel()
@@ -203,7 +193,6 @@ def _now(comm: MPI.Comm) -> np.ndarray:
 
 def make_meshes(n: int, folder: Path) -> dict[str, Path]:
     """Write the mesh of the two beams, and the one with merged contact nodes."""
-    sys.path.insert(0, str(MESHES))
     from two_beams import two_beams
 
     paths = {kind: folder / f"{kind}_{n}.msh" for kind in ("contact", "glued")}
@@ -216,10 +205,9 @@ def make_meshes(n: int, folder: Path) -> dict[str, Path]:
 def glue(source: Path, target: Path) -> None:
     """Merge coincident nodes, and remove the tags of the contact surfaces."""
     import gmsh
+    from gmsh_files import name_group, session
 
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with session():
         gmsh.open(str(source))
         names = {
             group: gmsh.model.getPhysicalName(*group) for group in gmsh.model.getPhysicalGroups()
@@ -231,13 +219,10 @@ def glue(source: Path, target: Path) -> None:
         ]
         gmsh.model.removePhysicalGroups()
         for dim, tag, name, entities in kept:
-            gmsh.model.addPhysicalGroup(dim, entities, tag)
-            gmsh.model.setPhysicalName(dim, tag, name)
+            name_group(dim, entities, name, tag)
         gmsh.model.mesh.removeDuplicateNodes()
         gmsh.option.setNumber("Mesh.MshFileVersion", 4.1)
         gmsh.write(str(target))
-    finally:
-        gmsh.finalize()
 
 
 def run(

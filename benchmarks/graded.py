@@ -8,12 +8,8 @@ beyond it larger than the one before by a factor, up to a distance of 10 to 100 
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 from mpi4py import MPI
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from graded_block import graded_block
 
 # dimension, cells on a, growth, size

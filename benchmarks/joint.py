@@ -9,10 +9,6 @@ A row for each contact has the largest pressure, and how far lug and pin they mo
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 from joints import axial_motion, joint_problem, read_joint
 
 CHOICES = {"degree": [1, 2]}

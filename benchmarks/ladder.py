@@ -27,6 +27,7 @@ from fenics_tfeti.fem.decomposition.assembly import prepare_forms
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, Subdomain, TornSolver, TornSystem
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti.models import isotropic, small_strain
 
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = -20e6  # [Pa] in z
@@ -42,11 +43,7 @@ def cubes(m: int, n: int) -> dict[str, Subdomain]:
     )
     V = displacement_space(mesh)
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu = fem.Constant(mesh, YOUNG / (2 * (1 + POISSON)))
-    lmbda = fem.Constant(mesh, YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)))
-    strain, test = ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))
-    stress = lmbda * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * strain
-    a = ufl.inner(stress, test) * ufl.dx
+    a = ufl.inner(isotropic(YOUNG, POISSON)(u), small_strain(v)) * ufl.dx
     ds = ufl.Measure("ds", domain=mesh, subdomain_data=tags)
     traction = fem.Constant(mesh, TRACTION)
     cube = number_parts(V, [np.arange(n**3, dtype=np.int32)], [0])

@@ -10,7 +10,6 @@ tetrahedra. The modulus jumps between bodies or blocks. The subdomains are eithe
 from __future__ import annotations
 
 import itertools
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,22 +19,33 @@ from mpi4py import MPI
 
 import gmsh
 import numpy as np
+from gmsh_files import new_file
+from mesh_arrays import of_function
 from numpy.typing import NDArray
+from scenes import (
+    CLAMPED,
+    LOADED,
+    MASTER,
+    ROLLER,
+    SLAVE,
+    TRACTION,
+    YOUNG,
+    Scene,
+    elasticity,
+    support_beams,
+)
 
-import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import split_into_subdomains
 from fenics_tfeti.feti import TornSolver, TornSystem, parse_options
-from fenics_tfeti.io import TaggedMesh, displacement_space, read_msh
+from fenics_tfeti.io import TaggedMesh
 
-SOFT = 2.1e11
 LOWER, UPPER = 0, 1
 CORNERS = {LOWER: (0, 0, 0), UPPER: (1, 0, 1)}
-CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
 PRECONDITIONERS = ("none", "lumped", "dirichlet")
 SCALINGS = ("multiplicity", "stiffness")
 
@@ -152,15 +162,12 @@ def box_of(body: int) -> list[float]:
 
 def write_mesh(path: Path, blocks_per_metre: int, elements_per_metre: int) -> None:
     """Mesh the blocks with tetrahedra that match at the contact."""
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        gmsh.model.add("blocks")
+    with new_file(path):
         for body in CORNERS:
             add_beam(body, blocks_per_metre)
         groups = {
             CLAMPED: surfaces(LOWER, 0, 0.0, 0.0, 0.0),
-            GUIDED: surfaces(UPPER, 0, 3.0, 3.0, 3.0),
+            ROLLER: surfaces(UPPER, 0, 3.0, 3.0, 3.0),
             SLAVE: surfaces(UPPER, 2, 1.0, 1.0, 2.0),
             MASTER: surfaces(LOWER, 2, 1.0, 1.0, 2.0),
             LOADED: surfaces(UPPER, 2, 2.0, 1.0, 3.0) + surfaces(UPPER, 0, 1.0, 1.0, 1.0),
@@ -172,80 +179,56 @@ def write_mesh(path: Path, blocks_per_metre: int, elements_per_metre: int) -> No
         for slave, master in zip(*sides, strict=True):
             gmsh.model.mesh.setPeriodic(2, [slave], [master], np.eye(4).ravel().tolist())
         gmsh.model.mesh.generate(3)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
-
-
-def read_mesh(
-    blocks_per_metre: int, elements_per_metre: int, comm: MPI.Intracomm = MPI.COMM_WORLD
-) -> TaggedMesh:
-    with tempfile.TemporaryDirectory() as directory:
-        path = comm.bcast(Path(directory) / "blocks.msh")
-        if comm.rank == 0:
-            write_mesh(path, blocks_per_metre, elements_per_metre)
-        comm.barrier()
-        beams = read_msh(path, comm)
-        comm.barrier()
-    return beams
 
 
 # -- problems ------------------------------------------------------------------------------------
 
 
 class Beams:
-    """The forms, with a modulus for each cell."""
+    """A scene of two beams or sheets, with a modulus for each cell."""
 
-    def __init__(self, tagged: TaggedMesh) -> None:
-        mesh, facet_tags = tagged.mesh, tagged.facet_tags
-        self.facet_tags = facet_tags
-        cells = _compat.geometry_cells(mesh)
-        self.owned = mesh.topology.index_map(3).size_local
-        self.midpoints = mesh.geometry.x[cells].mean(axis=1).T
-        # in the order of the cells
-        self.blocks = np.zeros(self.owned, dtype=np.int64)
-        mine = tagged.cell_tags.indices < self.owned
-        self.blocks[tagged.cell_tags.indices[mine]] = tagged.cell_tags.values[mine]
+    def __init__(self, scene: Scene) -> None:
+        mesh, self.scene = scene.mesh, scene
+        self.owned = mesh.topology.index_map(scene.gdim).size_local
+        self.midpoints = mesh.geometry.x[_compat.geometry_cells(mesh)].mean(axis=1).T
         constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
         self.young = fem.Function(constant)
         self.dof_of_cell = _compat.cell_dofs(constant).ravel()
-        V = self.V = displacement_space(mesh)
-        u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-
-        def strain(w):
-            return ufl.sym(ufl.grad(w))
-
-        mu, lmbda = self.young / 2.6, self.young * 0.3 / 0.52
-        stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(3) + 2 * mu * strain(u)
-        ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-        self.traction = fem.Constant(mesh, np.array([0.0, 0.0, -20e6]))
-        self.a = ufl.inner(stress, strain(v)) * ufl.dx
-        self.L = ufl.inner(self.traction, v) * ds(LOADED)
-        fixed = fem.locate_dofs_topological(V, 2, facet_tags.find(CLAMPED))
-        self.bcs = [fem.dirichletbc(np.zeros(3), fixed, V)]
-        for component in (0, 1):
-            part = V.sub(component)
-            dofs = fem.locate_dofs_topological(part, 2, facet_tags.find(GUIDED))
-            self.bcs.append(fem.dirichletbc(0.0, dofs, part))
+        scene.a = elasticity(scene.u, scene.v, self.young)
 
     def cut(self, unknowns: int) -> NDArray[np.int64]:
         """Return the labels of subdomains by SCOTCH."""
-        bodies = find_bodies(self.V.mesh, None)
+        V = self.scene.V
         labels = np.zeros(self.owned, dtype=np.int64)
-        for number, cells in enumerate(split_into_subdomains(self.V, bodies, unknowns, "scotch")):
+        bodies = find_bodies(V.mesh, None)
+        for number, cells in enumerate(split_into_subdomains(V, bodies, unknowns, "scotch")):
             labels[cells] = number
         return labels
 
-    def problem(self, case: Case, jump: float, subdomains: NDArray[np.int64]) -> ContactProblem:
-        factor = np.where(case.stiff(self.midpoints), jump, 1.0)
-        self.young.x.array[self.dof_of_cell] = SOFT * factor
-        return ContactProblem(
-            self.a,
-            self.L,
-            bcs=self.bcs,
-            contacts=[ContactPair(self.facet_tags, slave=SLAVE, master=MASTER)],
-            subdomains=subdomains,
-        )
+    def problem(
+        self, stiff: Callable[[Places], Any], jump: float, subdomains: NDArray[np.int64]
+    ) -> ContactProblem:
+        """Return the problem where the modulus of a part is larger by a factor."""
+        factor = np.where(stiff(self.midpoints), jump, 1.0)
+        self.young.x.array[self.dof_of_cell] = YOUNG * factor
+        return self.scene.problem(cell_tags=None, subdomains=subdomains)
+
+
+def two_beams(tagged: TaggedMesh) -> Beams:
+    """Return the beams of a mesh."""
+    scene = Scene.of(tagged)
+    scene.L = scene.constant(-TRACTION) * scene.v[2] * scene.ds(LOADED)
+    support_beams(scene)
+    scene.add_pair()
+    return Beams(scene)
+
+
+def blocks_of(tagged: TaggedMesh, owned: int) -> NDArray[np.int64]:
+    """Return the block of each cell, in the order of the cells."""
+    blocks = np.zeros(owned, dtype=np.int64)
+    mine = tagged.cell_tags.indices < owned
+    blocks[tagged.cell_tags.indices[mine]] = tagged.cell_tags.values[mine]
+    return blocks
 
 
 def measure(system: TornSystem, **options: Any) -> dict[str, Any]:
@@ -283,10 +266,11 @@ def run(
     Blocks per metre are a multiple of 2; SCOTCH cuts subdomains of `subdomain_size` unknowns; the
     modulus jumps by `jump`. Without deflation, the rows show what scaling alone does.
     """
-    beams = Beams(read_mesh(blocks_per_metre, elements_per_metre))
-    cut, uniform_products = beams.cut(subdomain_size), {}
+    tagged = of_function(write_mesh, 3, blocks_per_metre, elements_per_metre, comm=MPI.COMM_WORLD)
+    beams = two_beams(tagged)
+    blocks, cut, uniform_products = blocks_of(tagged, beams.owned), beams.cut(subdomain_size), {}
     for case in CASES if all else [case for case in CASES if case.stiff in SHORT]:
-        problem = beams.problem(case, jump, beams.blocks if case.aligned else cut)
+        problem = beams.problem(case.stiff, jump, blocks if case.aligned else cut)
         for way in itertools.product(PRECONDITIONERS, SCALINGS):
             row = measure(
                 problem.system,

@@ -13,18 +13,14 @@ bytes those of all ranks together.
 
 from __future__ import annotations
 
-import sys
 import time
-from pathlib import Path
 
 from mpi4py import MPI
 
 import numpy as np
+from finite_strains import beam, indented_block, ironing
 
 from fenics_tfeti import Coulomb
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
-from finite_strains import beam, indented_block, ironing
 
 THIRDS = (1 / 3, 2 / 3, 1.0)
 QUARTERS = (0.25, 0.5, 0.75, 1.0)

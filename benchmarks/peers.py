@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from peers_scene import SCENES, Answer, Scene, nodal_load, sort_key
+from peers_scene import SCENES, Answer, Scene, nodal_load, processor_seconds, sort_key
 from runner import separately
 
 TWO, *_APART, RIGID = SCENES
@@ -167,11 +167,11 @@ def solve_alone(name: str, scene_name: str, divisions: int, output: str) -> dict
     if code.module == "peers_fenics":
         solve(SCENES[scene_name](2), *code.arguments)  # compiles the forms
     scene = SCENES[scene_name](divisions)
-    clock, processor = time.perf_counter(), _processor_seconds()
+    clock, processor = time.perf_counter(), processor_seconds()
     answer: Answer = solve(scene, *code.arguments)
     figures = {
         "seconds": time.perf_counter() - clock,
-        "processor_seconds": _processor_seconds() - processor,
+        "processor_seconds": processor_seconds() - processor,
         "peak_memory_mb": _peak_memory() / 1e6,
         "force": answer.force,
         **answer.facts,
@@ -179,12 +179,6 @@ def solve_alone(name: str, scene_name: str, divisions: int, output: str) -> dict
     names = ("coordinates", "displacement", "body", "pressure")
     np.savez(output, **{name: getattr(answer, name) for name in names})
     return figures
-
-
-def _processor_seconds() -> float:
-    """Return processor seconds of this process and of its finished children."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
 def _peak_memory() -> int:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TextIO
 
@@ -36,42 +36,65 @@ def solve_by_calculix(scene: Scene, way: str) -> Answer:
     The contact transmits the whole load of the upper beam to the clamp, so the contact force is the
     reaction of the clamp.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        with open(Path(folder) / "beams.inp", "w") as file:
-            _write(file, scene, *WAYS[way])
-        done = subprocess.run(
-            ["ccx", "beams"], cwd=folder, env={**os.environ}, capture_output=True, text=True
-        )
-        if "Job finished" not in done.stdout:
-            raise RuntimeError("ccx stopped:\n" + "\n".join(done.stdout.splitlines()[-10:]))
-        lines = (Path(folder) / "beams.dat").read_text().splitlines()
+    output, lines = run_ccx(lambda file: _write(file, scene, *WAYS[way]))
     displacement = _read(lines, "displacements", scene)
-    total = max(i for i, line in enumerate(lines) if "set CLAMPED" in line)
-    force = float(lines[total + 2].split()[2])
+    force = float(total_of(lines, "CLAMPED")[2])
     pressure = np.full(len(scene.points), np.nan)
     if way == "mortar":
         # the forces of the elements at the nodes, without what is applied there
         slave, nodal = slave_nodes(scene), _read(lines, "forces", scene)[:, 2] - nodal_load(scene)
         pressure[slave] = nodal[slave] / slave_areas(scene)
-    steps = sum(line.startswith(" iteration ") for line in done.stdout.splitlines())
-    facts = {"iterations": steps, "iterations_of": "Newton steps", "solver": WAYS[way][2]}
+    steps, solver = iterations(output), WAYS[way][2]
+    facts = {"iterations": steps, "iterations_of": "Newton steps", "solver": solver}
     return Answer(scene.points, displacement, scene.node_body(), force, facts, pressure)
+
+
+def run_ccx(write: Callable[[TextIO], None]) -> tuple[str, list[str]]:
+    """Write the input and run ccx; return what it prints, and the lines of its tables."""
+    with tempfile.TemporaryDirectory() as folder:
+        with open(Path(folder) / "peer.inp", "w") as file:
+            write(file)
+        done = subprocess.run(["ccx", "peer"], cwd=folder, capture_output=True, text=True)
+        if done.returncode or "Job finished" not in done.stdout:
+            raise RuntimeError("ccx stopped:\n" + "\n".join(done.stdout.splitlines()[-10:]))
+        return done.stdout, (Path(folder) / "peer.dat").read_text().splitlines()
+
+
+def total_of(lines: list[str], name: str) -> list[float]:
+    """Return the last sum of the forces on a set of nodes."""
+    total = max(i for i, line in enumerate(lines) if f"set {name}" in line)
+    return [float(value) for value in lines[total + 2].split()]
+
+
+def iterations(output: str) -> int:
+    """Return the number of Newton steps."""
+    return sum(line.startswith(" iteration ") for line in output.splitlines())
+
+
+def write_mesh(
+    file: TextIO,
+    x: NDArray[np.float64],
+    cells: NDArray[np.int64],
+    bodies: dict[str, NDArray[np.int64]],
+    sets: dict[str, NDArray[np.int64]],
+) -> None:
+    """Write nodes, cells by bodies, and sets of nodes."""
+    file.write("*NODE,NSET=ALL\n")
+    np.savetxt(file, np.column_stack([np.arange(1, len(x) + 1), x]), fmt="%d,%.12g,%.12g,%.12g")
+    for name, numbers in bodies.items():
+        file.write(f"*ELEMENT,TYPE=C3D8,ELSET={name}\n")
+        rows = np.column_stack([numbers, cells[numbers][:, _ORDER]])
+        np.savetxt(file, 1 + rows, fmt="%d", delimiter=",")
+    for name, nodes in sets.items():
+        file.write(f"*NSET,NSET={name}\n")
+        np.savetxt(file, 1 + nodes, fmt="%d")
 
 
 def _write(file: TextIO, scene: Scene, contact: str, behaviour: str, solver: str) -> None:
     x = scene.points
-    numbers = np.arange(1, len(x) + 1)
-    cells = 1 + scene.cells[:, _ORDER]
-    file.write("*NODE,NSET=ALL\n")
-    np.savetxt(file, np.column_stack([numbers, x]), fmt="%d,%.12g,%.12g,%.12g")
-    file.write("*ELEMENT,TYPE=C3D8,ELSET=BEAMS\n")
-    np.savetxt(
-        file, np.column_stack([np.arange(1, len(cells) + 1), cells]), fmt="%d", delimiter=","
-    )
     sets = {name: np.flatnonzero(np.isclose(x[:, 0], at)) for name, at in _HELD.items()}
-    for name, nodes in {**sets, "TOUCHING": slave_nodes(scene)}.items():
-        file.write(f"*NSET,NSET={name}\n")
-        np.savetxt(file, 1 + nodes, fmt="%d")
+    sets["TOUCHING"] = slave_nodes(scene)
+    write_mesh(file, x, scene.cells, {"BEAMS": np.arange(len(scene.cells))}, sets)
     centre = x[scene.cells].mean(axis=1)
     h = 1.0 / np.where(scene.body == 1, scene.lower_divisions, scene.divisions)
     at_contact = np.isclose(np.abs(centre[:, 2] - 1.0), 0.5 * h)

@@ -9,18 +9,16 @@ from mpi4py import MPI
 from petsc4py import PETSc
 
 import numpy as np
-from peers_scene import LAMBDA, MU, TRACTION, Answer, Scene, ground_gap
+from peers_scene import POISSON, TRACTION, YOUNG, Answer, Scene, ground_gap
+from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, at, elasticity
+from scenes import Scene as Tagged
 
-import ufl
 from dolfinx import fem
 from dolfinx.fem import petsc as fem_petsc
 from dolfinx.mesh import meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, RigidObstacle
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import displacement_space, tag_facets
-
-CLAMPED, GUIDED, SLAVE, MASTER, LOADED = 3, 4, 5, 6, 7
+from fenics_tfeti.io import tag_facets
 
 
 class Elasticity:
@@ -33,52 +31,35 @@ class Elasticity:
         body = scene.body[mesh.topology.original_cell_index]
         bodies = meshtags(mesh, 3, np.arange(len(body), dtype=np.int32), body)
         self.has_lower = bool(np.any(body == 1))
+        # the part of the slave that is above the master or the ground
+        end = 2 + 1e-9 if self.has_lower else np.inf
         markers = [
-            (GUIDED, lambda x: np.isclose(x[0], 3), 2),
-            (SLAVE, lambda x: np.isclose(x[2], 1) & self._is_over(x), 2),
-            (LOADED, lambda x: np.isclose(x[2], 2), 2),
-            (LOADED, lambda x: np.isclose(x[0], 1), 2),
+            (ROLLER, at(0, 3), 2),
+            (SLAVE, lambda x: np.isclose(x[2], 1) & (x[0] < end), 2),
+            (LOADED, at(2, 2), 2),
+            (LOADED, at(0, 1), 2),
         ]
         if self.has_lower:
-            markers.append((CLAMPED, lambda x: np.isclose(x[0], 0), 1))
+            markers.append((CLAMPED, at(0, 0), 1))
             markers.append((MASTER, lambda x: np.isclose(x[2], 1) & (x[0] > 1 - 1e-9), 1))
-        self.facet_tags = tag_facets(mesh, markers, bodies)
-        self.mesh, self.bodies = mesh, bodies
-        self.space = displacement_space(mesh)
-        self.a, self.L = self._forms()
-        self.bcs = self._supports()
-
-    def _is_over(self, x: Any) -> Any:
-        """Select the part of the face z = 1 of the slave that is above the master or the ground."""
-        return x[0] < 2 + 1e-9 if self.has_lower else x[0] < np.inf
-
-    def _forms(self) -> tuple[Any, Any]:
-        mu, lmbda = (fem.Constant(self.mesh, value) for value in (MU, LAMBDA))
-        u, v = ufl.TrialFunction(self.space), ufl.TestFunction(self.space)
-        strain = ufl.sym(ufl.grad(u))
-        stress = lmbda * ufl.tr(strain) * ufl.Identity(3) + 2 * mu * strain
-        ds = ufl.Measure("ds", domain=self.mesh, subdomain_data=self.facet_tags)
-        traction = fem.Constant(self.mesh, np.array([0.0, 0.0, -TRACTION]))
-        a = ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx
-        return a, ufl.inner(traction, v) * ds(LOADED)
+        self.tagged = tagged = Tagged(mesh, tag_facets(mesh, markers, bodies), bodies)
+        tagged.a = elasticity(tagged.u, tagged.v, YOUNG, poisson=POISSON)
+        tagged.add_load(LOADED, np.array([0.0, 0.0, -TRACTION]))
+        held = [(ROLLER, 0), (ROLLER, 1), *((CLAMPED, c) for c in range(3) if self.has_lower)]
+        for tag, component in held:
+            tagged.fix(tag, component)
 
     def dofs(self, tag: int, component: int) -> Any:
         """Return the degrees of freedom of one component on a tagged surface."""
-        part = self.space.sub(component)
-        return fem.locate_dofs_topological(part, 2, self.facet_tags.find(tag))
-
-    def _supports(self) -> list[Any]:
-        wanted = [(GUIDED, c) for c in (0, 1)]
-        if self.has_lower:
-            wanted += [(CLAMPED, c) for c in (0, 1, 2)]
-        return [fem.dirichletbc(0.0, self.dofs(tag, c), self.space.sub(c)) for tag, c in wanted]
+        part = self.tagged.V.sub(component)
+        return fem.locate_dofs_topological(part, 2, self.tagged.facet_tags.find(tag))
 
     def answer(self, values: Any, force: float, pressure: Any = (), **facts: Any) -> Answer:
         """Return an answer from the values (3 n) of the displacement."""
-        nodes = _compat.cell_dofs(self.space)
+        nodes = _compat.cell_dofs(self.tagged.V)
         body = np.zeros(len(values) // 3, dtype=np.int32)
-        body[nodes] = self.bodies.values[:, np.newaxis]
-        points = self.space.tabulate_dof_coordinates()
+        body[nodes] = self.tagged.cell_tags.values[:, np.newaxis]
+        points = self.tagged.V.tabulate_dof_coordinates()
         return Answer(
             points, np.asarray(values).reshape(-1, 3), body, force, facts, np.asarray(pressure)
         )
@@ -87,16 +68,12 @@ class Elasticity:
 def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answer:
     """Solve a scene by fenics_tfeti with its defaults, or in subdomains by SCOTCH."""
     parts = Elasticity(scene)
-    contact: ContactPair | RigidObstacle = RigidObstacle(parts.facet_tags, SLAVE, _ground)
     if parts.has_lower:
-        contact = ContactPair(parts.facet_tags, SLAVE, MASTER)
-    problem = ContactProblem(
-        parts.a,
-        parts.L,
-        bcs=parts.bcs,
-        contacts=[contact],
-        options={"rtol": rtol, "partitioner": partitioner},
-    )
+        parts.tagged.add_pair()
+    else:
+        parts.tagged.add_obstacle(SLAVE, _ground)
+    options = {"rtol": rtol, "partitioner": partitioner}
+    problem = parts.tagged.problem(cell_tags=None, options=options)
     uh = problem.solve()
     pressure = np.full(len(scene.points), np.nan)
     pressure[problem.results[0].nodes] = problem.results[0].pressure
@@ -122,16 +99,17 @@ def solve_by_snesvi(scene: Scene, rtol: float, solver: str) -> Answer:
     preconditioners for conjugate gradients: "gamg", "hypre", "icc".
     """
     parts = Elasticity(scene)
-    matrix = fem_petsc.assemble_matrix(fem.form(parts.a), bcs=parts.bcs)
+    tagged = parts.tagged
+    matrix = fem_petsc.assemble_matrix(fem.form(tagged.a), bcs=tagged.bcs)
     matrix.assemble()
     matrix.setOption(PETSc.Mat.Option.SPD, True)
-    load = fem_petsc.assemble_vector(fem.form(parts.L))
-    load.array[np.concatenate([parts.dofs(GUIDED, c) for c in (0, 1)])] = 0.0
+    load = fem_petsc.assemble_vector(fem.form(tagged.L))
+    load.array[np.concatenate([parts.dofs(ROLLER, c) for c in (0, 1)])] = 0.0
     lower, upper = load.duplicate(), load.duplicate()
     lower.set(PETSc.NINFINITY)
     upper.set(PETSc.INFINITY)
     bottom = parts.dofs(SLAVE, 2)
-    lower.array[bottom] = -ground_gap(parts.space.tabulate_dof_coordinates()[bottom // 3].T)
+    lower.array[bottom] = -ground_gap(tagged.V.tabulate_dof_coordinates()[bottom // 3].T)
 
     snes = _newton(matrix, load, rtol, solver)
     snes.setVariableBounds(lower, upper)

@@ -15,15 +15,13 @@ from mpi4py import MPI
 
 import numpy as np
 from numpy.typing import NDArray
+from scenes import Scene, at, elasticity, plane
 
-import ufl
-from dolfinx import fem, mesh
-
-from fenics_tfeti import ContactProblem, Coulomb, Plane, RigidObstacle
-from fenics_tfeti.io import displacement_space, tag_facets
+from fenics_tfeti import ContactProblem, Coulomb
 
 LENGTH, LAMBDA, MU, PRESSURE, PULL, FRICTION = 4, 1.0, 1.0, 1e-2, 1e-2, 0.3
 BOTTOM, TOP, RIGHT, LEFT = 1, 2, 3, 4
+SIDES = [(BOTTOM, 1, 0.0), (TOP, 1, 1.0), (RIGHT, 0, LENGTH), (LEFT, 0, 0.0)]
 
 Vector = NDArray[np.float64]
 
@@ -57,36 +55,19 @@ def compare(n: int) -> tuple[int, dict[str, Any]]:
 
 def solve_by_tfeti(n: int, rtol: float = 1e-8) -> tuple[Vector, Vector, ContactProblem]:
     """Return nodes, displacements, and the solved problem."""
-    block = mesh.create_rectangle(
-        MPI.COMM_SELF,
-        [np.zeros(2), np.array([LENGTH, 1.0])],
-        [LENGTH * n, n],
-        mesh.CellType.quadrilateral,
-    )
-    V = displacement_space(block)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    marks = [(BOTTOM, 1, 0.0), (TOP, 1, 1.0), (RIGHT, 0, LENGTH)]
-    tags = tag_facets(
-        block, [(tag, lambda x, k=k, at=at: np.isclose(x[k], at)) for tag, k, at in marks]
-    )
-    ds = ufl.Measure("ds", domain=block, subdomain_data=tags)
-    strain = ufl.sym(ufl.grad(u))
-    stress = 2 * MU * strain + LAMBDA * ufl.tr(strain) * ufl.Identity(2)
-    pressure, pull = (fem.Constant(block, value) for value in (PRESSURE, PULL))
-    left = mesh.locate_entities_boundary(
-        block, 1, lambda x: np.isclose(x[0], 0.0) & (x[1] > 0.5 / n)
-    )
-    held = fem.locate_dofs_topological(V.sub(0), 1, left)
-    ground = Plane((0.0, 0.0), (0.0, 1.0))
-    problem = ContactProblem(
-        ufl.inner(stress, ufl.sym(ufl.grad(v))) * ufl.dx,
-        pull * v[0] * ds(RIGHT) - pressure * v[1] * ds(TOP),
-        bcs=[fem.dirichletbc(0.0, held, V.sub(0))],
-        contacts=[RigidObstacle(tags, BOTTOM, ground, friction=Coulomb(FRICTION))],
-        options={"rtol": rtol},
-    )
+    parts = [((0.0, 0.0), (LENGTH, 1.0), (LENGTH * n, n))]
+    marks = [(tag, at(k, value)) for tag, k, value in SIDES[:-1]]
+    marks.append((LEFT, lambda x: np.isclose(x[0], 0.0) & (x[1] > 0.5 / n)))
+    block = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks)
+    # lambda = mu
+    block.a = elasticity(block.u, block.v, 2.5 * MU, poisson=0.25)
+    pressure, pull = (block.constant(value) for value in (PRESSURE, PULL))
+    block.L = pull * block.v[0] * block.ds(RIGHT) - pressure * block.v[1] * block.ds(TOP)
+    block.fix(LEFT, 0)
+    block.add_obstacle(BOTTOM, plane(1, 2), friction=Coulomb(FRICTION))
+    problem = block.problem(options={"rtol": rtol})
     values = problem.solve().x.array.reshape(-1, 2)
-    return V.tabulate_dof_coordinates()[:, :2], values, problem
+    return block.V.tabulate_dof_coordinates()[:, :2], values, problem
 
 
 def solve_by_getfem(n: int) -> tuple[Vector, Vector, Vector, Vector, int]:
@@ -99,8 +80,8 @@ def solve_by_getfem(n: int) -> tuple[Vector, Vector, Vector, Vector, int]:
     space = getfem.MeshFem(block, 2)
     space.set_fem(getfem.Fem("FEM_QK(2,1)"))
     rule = getfem.MeshIm(block, getfem.Integ("IM_GAUSS_PARALLELEPIPED(2,3)"))
-    for tag, k, at in ((BOTTOM, 1, 0.0), (TOP, 1, 1.0), (RIGHT, 0, LENGTH), (LEFT, 0, 0.0)):
-        nodes = np.flatnonzero(np.isclose(block.pts()[k], at))
+    for tag, k, value in SIDES:
+        nodes = np.flatnonzero(np.isclose(block.pts()[k], value))
         block.set_region(tag, block.faces_from_pid(nodes))
     model = getfem.Model("real")
     model.add_fem_variable("u", space)

@@ -1,14 +1,13 @@
 """The die of `peers_nonlinear.py` in GetFEM: its large sliding brick, an augmented Lagrangian.
 
-    python benchmarks/peers_large_sliding.py DIVISIONS STEPS
+    python benchmarks/run.py peers_large_sliding --divisions 4 --steps 2
 
-prints the force on the die, the Newton steps and the processor seconds as JSON.
+gives the force on the die, the Newton steps and the processor seconds.
 """
 
 from __future__ import annotations
 
-import json
-import sys
+import resource
 import time
 from typing import Any
 
@@ -20,6 +19,7 @@ from peers_nonlinear import (
     DIE,
     DRAG,
     GRIP,
+    LONGEST,
     MASTER,
     MODULI,
     PRESS,
@@ -101,13 +101,9 @@ def _space(mesh: Any) -> Any:
     return space
 
 
-def main(divisions: int, steps: int) -> None:
-    """Press and drag in equal steps."""
+def run(divisions=4, steps=1):
+    """Press and drag in equal steps, within a time: where cells invert, a step may not end."""
+    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
     model, start = Model(Bodies(divisions)), time.process_time()
     newton = sum(model.solve(load) for load in np.arange(1, 2 * steps + 1) / steps)
-    seconds = time.process_time() - start
-    print(json.dumps({"force": model.force(), "newton": newton, "cpu": seconds}))
-
-
-if __name__ == "__main__":
-    main(int(sys.argv[1]), int(sys.argv[2]))
+    yield {"force": model.force(), "newton": newton, "cpu": time.process_time() - start}

@@ -16,19 +16,18 @@ python3-getfem.
 from __future__ import annotations
 
 import importlib.util
-import json
 import os
-import resource
 import shutil
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
+import signal
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from peers_calculix import iterations, run_ccx, total_of, write_mesh
+from peers_scene import processor_seconds
+from runner import separately
+from scenes import at
 
 import ufl
 from dolfinx import fem
@@ -43,8 +42,6 @@ NU, PRESS, DRAG, PENALTY = 0.3, 0.3, 1.0, 100.0
 DRAGGED = 0.1  # largest drag, relative to the pressing force
 MOST = 64  # steps of each load
 LONGEST = 120  # processor seconds after which a run of GetFEM is ended
-# vertices of dolfinx in the order of C3D8
-_ORDER = [0, 1, 3, 2, 4, 5, 7, 6]
 
 
 class Bodies:
@@ -58,10 +55,10 @@ class Bodies:
         tagged = boxes(MPI.COMM_SELF, parts)
         self.mesh, self.cell_tags = tagged.mesh, tagged.cell_tags
         markers = [
-            (BASE, lambda x: np.isclose(x[2], 0), BLOCK),
-            (MASTER, lambda x: np.isclose(x[2], 1), BLOCK),
-            (SLAVE, lambda x: np.isclose(x[2], 1), DIE),
-            (GRIP, lambda x: np.isclose(x[2], 1.8), DIE),
+            (BASE, at(2, 0), BLOCK),
+            (MASTER, at(2, 1), BLOCK),
+            (SLAVE, at(2, 1), DIE),
+            (GRIP, at(2, 1.8), DIE),
         ]
         self.facet_tags = tag_facets(self.mesh, markers, self.cell_tags)
         self.space = displacement_space(self.mesh)
@@ -105,7 +102,7 @@ def by_tfeti(n: int, steps: int) -> dict[str, Any]:
         ],
         contacts=[ContactPair(bodies.facet_tags, slave=SLAVE, master=MASTER)],
     )
-    start, newton = _processor_seconds(), 0
+    start, newton = processor_seconds(), 0
     for load in np.arange(1, 2 * steps + 1) / steps:
         values = motion.x.array.reshape(-1, 3)
         values[:, 0], values[:, 2] = DRAG * max(load - 1.0, 0.0), -PRESS * min(load, 1.0)
@@ -113,67 +110,48 @@ def by_tfeti(n: int, steps: int) -> dict[str, Any]:
         problem.advance()
         newton += len(problem.report.newton)
     force = problem.report.reactions[1].force
-    return _row(force, newton, _processor_seconds() - start)
+    return _row(force, newton, processor_seconds() - start)
 
 
 def by_calculix(n: int, steps: int) -> dict[str, Any]:
     """Press and drag in equal increments; raise ContactError if one does not converge."""
-    with tempfile.TemporaryDirectory() as folder:
-        with open(Path(folder) / "die.inp", "w") as file:
-            _write(file, Bodies(n), steps)
-        start = _processor_seconds()
-        done = subprocess.run(["ccx", "die"], cwd=folder, capture_output=True, text=True)
-        seconds = _processor_seconds() - start
-        if done.returncode or "Job finished" not in done.stdout:
-            raise ContactError("CalculiX did not converge")
-        lines = (Path(folder) / "die.dat").read_text().split("\n")
-    total = max(i for i, line in enumerate(lines) if "set GRIP" in line)
-    force = [float(value) for value in lines[total + 2].split()]
-    newton = sum(line.startswith(" iteration ") for line in done.stdout.splitlines())
-    return _row(force, newton, seconds)
+    bodies, start = Bodies(n), processor_seconds()
+    try:
+        output, lines = run_ccx(lambda file: _write(file, bodies, steps))
+    except RuntimeError as error:
+        raise ContactError("CalculiX did not converge") from error
+    return _row(total_of(lines, "GRIP"), iterations(output), processor_seconds() - start)
 
 
 def by_getfem(n: int, steps: int) -> dict[str, Any]:
     """Press and drag in equal steps; raise ContactError if one does not converge."""
-    script = Path(__file__).with_name("peers_large_sliding.py")
-    command = [sys.executable, str(script), str(n), str(steps)]
-    done = subprocess.run(command, capture_output=True, text=True, preexec_fn=_limit)
-    if done.returncode < 0:
-        raise ContactError(f"GetFEM had not ended after {LONGEST} processor seconds")
-    if done.returncode:
-        raise ContactError(f"GetFEM: {(done.stderr or done.stdout).splitlines()[-1]}")
-    found = json.loads(done.stdout.splitlines()[-1])
+    try:
+        (found,) = separately("peers_large_sliding", divisions=n, steps=steps)
+    except RuntimeError as error:
+        reason = str(error).splitlines()[-1]
+        if reason == f"exit code {-signal.SIGXCPU}":
+            reason = f"had not ended after {LONGEST} processor seconds"
+        raise ContactError(f"GetFEM: {reason}") from error
     # on the die in place of the force of its grip
     return _row(-np.array(found["force"]), found["newton"], found["cpu"])
 
 
-def _limit() -> None:
-    """End this process after a time: where cells invert, a step of GetFEM may not end."""
-    resource.setrlimit(resource.RLIMIT_CPU, (LONGEST, LONGEST))
-
-
 def _write(file: Any, bodies: Bodies, steps: int) -> None:
     """Write the input of CalculiX."""
-    x, cells = bodies.mesh.geometry.x, 1 + bodies.cells[:, _ORDER]
-    file.write("*NODE,NSET=ALL\n")
-    np.savetxt(file, np.column_stack([np.arange(1, len(x) + 1), x]), fmt="%d,%.12g,%.12g,%.12g")
-    names = {BLOCK: "BLOCK", DIE: "DIE"}
+    x, names = bodies.mesh.geometry.x, {BLOCK: "BLOCK", DIE: "DIE"}
+    cells = {name: np.flatnonzero(bodies.cell_tags.values == b) for b, name in names.items()}
+    of_die = np.unique(bodies.cells[cells["DIE"]])
+    sets = {
+        "BASE": np.flatnonzero(np.isclose(x[:, 2], 0)),
+        "GRIP": of_die[np.isclose(x[of_die, 2], 1.8)],
+    }
+    write_mesh(file, x, bodies.cells, cells, sets)
     for body, name in names.items():
-        numbers = np.flatnonzero(bodies.cell_tags.values == body)
-        file.write(f"*ELEMENT,TYPE=C3D8,ELSET={name}\n")
-        np.savetxt(file, np.column_stack([numbers + 1, cells[numbers]]), fmt="%d", delimiter=",")
         mu, kappa = lame(MODULI[body])
         file.write(
             f"*MATERIAL,NAME=OF_{name}\n*HYPERELASTIC,NEO HOOKE\n{mu / 2:.12g},{2 / kappa:.12g}\n"
         )
         file.write(f"*SOLID SECTION,ELSET={name},MATERIAL=OF_{name}\n")
-    of_die = np.unique(bodies.cells[bodies.cell_tags.values == DIE])
-    for name, nodes in {
-        "BASE": np.flatnonzero(np.isclose(x[:, 2], 0)),
-        "GRIP": of_die[np.isclose(x[of_die, 2], 1.8)],
-    }.items():
-        file.write(f"*NSET,NSET={name}\n")
-        np.savetxt(file, 1 + nodes, fmt="%d")
     faces = {"SLAVE": (DIE, "S1"), "MASTER": (BLOCK, "S2")}
     connectivity = bodies.mesh.topology.connectivity(2, 3)
     for name, (body, face) in faces.items():
@@ -197,12 +175,6 @@ def _row(force: Any, newton: int, seconds: float) -> dict[str, Any]:
         "newton": newton,
         "cpu": seconds,
     }
-
-
-def _processor_seconds() -> float:
-    """Return processor seconds of this process and of its finished children."""
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
 def run(divisions=(4,)):

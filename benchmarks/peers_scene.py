@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -147,6 +148,12 @@ def sort_key(coordinates: NDArray[np.float64], body: NDArray[np.int32]) -> NDArr
     """Return a permutation that sorts the nodes of any code in the same way."""
     x, y, z = np.round(coordinates, 6).T
     return np.asarray(np.lexsort((z, y, x, body)))
+
+
+def processor_seconds() -> float:
+    """Return processor seconds of this process and of its finished children."""
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 
 def _scene(

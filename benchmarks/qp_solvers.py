@@ -16,16 +16,15 @@ are the best of three runs, with set-up, without imports.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 
 import clarabel
 import numpy as np
 import osqp
 import piqp
+import qp_problems
 import scipy.sparse as sp
 
 from fenics_tfeti.qp import (
@@ -39,9 +38,6 @@ from fenics_tfeti.qp import (
     proportioning,
     smalbe,
 )
-
-sys.path.append(str(Path(__file__).parent.parent / "tests" / "support"))
-import qp_problems
 
 TOLERANCE, REFERENCE = 1e-8, 1e-12
 LANCZOS_STEPS = 15

@@ -23,12 +23,17 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
+HERE = Path(__file__).parent
+# the scenes of the tests, and the meshes of the demos
+sys.path += [str(HERE), *(str(HERE.parent / folder) for folder in ("tests/support", "meshes"))]
 NAMES = [
     "accuracy",
     "beams",
     "bearing",
     "billion",
     "bricks",
+    "coarse",
+    "communication",
     "deflation",
     "friction",
     "general",
@@ -39,6 +44,7 @@ NAMES = [
     "nonlinear",
     "peers",
     "peers_friction",
+    "peers_large_sliding",
     "peers_nonlinear",
     "phases",
     "products",
@@ -49,6 +55,15 @@ NAMES = [
 Row = dict[str, Any]
 
 
+def on_ranks(command: list[str], ranks: int, **more: Any) -> subprocess.CompletedProcess[Any]:
+    """Run a command in processes of one thread each; `more` is for `subprocess.run`."""
+    if ranks > 1:
+        command = ["mpirun", "--oversubscribe", "-n", str(ranks), *command]
+    variables = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    variables |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    return subprocess.run(command, env={**os.environ, **variables, **more.pop("env", {})}, **more)
+
+
 def separately(name: str, ranks: int = 1, **options: Any) -> list[Row]:
     """Run a benchmark in processes of its own with one thread each, and return its rows.
 
@@ -56,13 +71,7 @@ def separately(name: str, ranks: int = 1, **options: Any) -> list[Row]:
     """
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "rows.json"
-        command = [
-            sys.executable,
-            str(Path(__file__).with_name("run.py")),
-            name,
-            "--json",
-            str(output),
-        ]
+        command = [sys.executable, str(HERE / "run.py"), name, "--json", str(output)]
         for option, value in options.items():
             flag = f"--{option.replace('_', '-')}"
             values = value if isinstance(value, (tuple, list)) else [value]
@@ -70,11 +79,7 @@ def separately(name: str, ranks: int = 1, **options: Any) -> list[Row]:
                 command.append(flag)
             elif value not in (False, None, ()):
                 command += [flag, *map(str, values)]
-        if ranks > 1:
-            command = ["mpirun", "--oversubscribe", "-n", str(ranks), *command]
-        more = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-        more |= {"OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
-        done = subprocess.run(command, env=os.environ | more, capture_output=True, text=True)
+        done = on_ranks(command, ranks, capture_output=True, text=True)
         if done.returncode:
             words = (done.stderr or done.stdout).strip().splitlines()
             raise RuntimeError("\n".join(words[-5:]) or f"exit code {done.returncode}")
@@ -157,13 +162,12 @@ def main(arguments: list[str] | None = None) -> list[Row]:
     if not given or given[0] not in NAMES:
         print(__doc__)
         for name in NAMES:
-            source = Path(__file__).with_name(f"{name}.py").read_text()
+            source = (HERE / f"{name}.py").read_text()
             print(f"    {name:<15} {source.split(chr(10))[0].strip(chr(34))}")
         if given and given[0] not in ("-h", "--help"):
             raise SystemExit(f"there is no benchmark {given[0]!r}")
         return []
     name, *given = given
-    sys.path.insert(0, str(Path(__file__).parent))
     module = importlib.import_module(name)
     options, rest = parser_of(name, module).parse_known_args(given)
     if wrong := [text for text in rest if text.startswith("--")]:

@@ -16,17 +16,12 @@ from mpi4py import MPI
 
 import beams
 import numpy as np
+from scenes import YOUNG
 from scipy.sparse.linalg import LinearOperator, eigsh
 
-import ufl
-from dolfinx import fem
-
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem import _compat
+from fenics_tfeti import ContactProblem
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
-YOUNG, POISSON = 2.1e11, 0.3
 PLAIN = Options(rtol=1e-4, **beams.PLAIN)
 
 
@@ -65,47 +60,8 @@ def two_beams(metres: int, ratio: int) -> ContactProblem:
 
 def two_sheets(metres: int, ratio: int) -> ContactProblem:
     """Return two sheets in contact in plane strain, the two-dimensional two beams."""
-    n = metres * ratio
-    parts = [Box((0, 0), (2, 1), (2 * n, n)), Box((1, 1), (3, 2), (2 * n, n))]
-    tagged = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
-    mesh, cell_tags = tagged.mesh, tagged.cell_tags
-    facet_tags = tag_facets(
-        mesh,
-        [
-            (1, lambda x: np.isclose(x[0], 0), 1),
-            (2, lambda x: np.isclose(x[0], 3), 2),
-            (3, lambda x: np.isclose(x[1], 1) & (x[0] < 2 + 1e-9), 2),
-            (4, lambda x: np.isclose(x[1], 1) & (x[0] > 1 - 1e-9), 1),
-            (5, lambda x: np.isclose(x[1], 2), 2),
-        ],
-        cell_tags,
-    )
-    V = displacement_space(mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    mu = fem.Constant(mesh, YOUNG / (2 * (1 + POISSON)))
-    lmbda = fem.Constant(mesh, YOUNG * POISSON / ((1 + POISSON) * (1 - 2 * POISSON)))
-    traction = fem.Constant(mesh, np.array([0.0, -20e6]))
-
-    def strain(w):
-        return ufl.sym(ufl.grad(w))
-
-    stress = lmbda * ufl.tr(strain(u)) * ufl.Identity(2) + 2 * mu * strain(u)
-    ds = ufl.Measure("ds", domain=mesh, subdomain_data=facet_tags)
-    fixed = fem.locate_dofs_topological(V, 1, facet_tags.find(1))
-    guided = fem.locate_dofs_topological(V.sub(0), 1, facet_tags.find(2))
-    owned = mesh.topology.index_map(2).size_local
-    middles = mesh.geometry.x[_compat.geometry_cells(mesh)[:owned]].mean(axis=1)
-    x, y = np.floor(metres * middles[:, :2]).astype(np.int64).T
-    return ContactProblem(
-        ufl.inner(stress, strain(v)) * ufl.dx,
-        ufl.inner(traction, v) * ds(5),
-        bcs=[
-            fem.dirichletbc(np.zeros(2), fixed, V),
-            fem.dirichletbc(0.0, guided, V.sub(0)),
-        ],
-        contacts=[ContactPair(facet_tags, slave=3, master=4)],
-        subdomains=(cell_tags.values[:owned] * 4 * metres + x) * 4 * metres + y,
-    )
+    sheets = beams.sheets(MPI.COMM_WORLD, "quadrilateral", metres * ratio)
+    return sheets.problem(cell_tags=None, subdomains=beams.cubes(sheets, metres))
 
 
 def measure(system: TornSystem, metres: int, ratio: int) -> dict[str, float]:

@@ -13,18 +13,16 @@ from __future__ import annotations
 
 import time
 import warnings
-from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
+from scenes import Scene, at, strain
 
 import ufl
-from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
-from fenics_tfeti.fem import _compat
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti import ContactProblem
+from fenics_tfeti.io import Box, piecewise_constant
 
 comm = MPI.COMM_WORLD
 LENGTHS = np.array([9.0, 4.0, 2.5])
@@ -49,8 +47,8 @@ def bent(x: np.ndarray) -> np.ndarray:
     )
 
 
-def bodies_of(scene: str, refinements: int, cell: str) -> tuple[Any, Any]:
-    """Return the mesh of block and tool, and its facet tags."""
+def bodies_of(scene: str, refinements: int, cell: str, degree: int) -> Scene:
+    """Return block and tool without forms."""
     s, top = 2**refinements, LENGTHS[2]
     block = Box((0, 0, 0), LENGTHS, (24 * s, 12 * s, 6 * s), name="block")
     if scene == "two-block":
@@ -61,24 +59,13 @@ def bodies_of(scene: str, refinements: int, cell: str) -> tuple[Any, Any]:
         tool = Box((0, 0, 0), (4.0, 5.0, 0.5), (16 * s, 20 * s, 2 * s), name="tool")
         # the outer face of the shell is the block's, the inner one is moved
         touching, pressed = 0.5, 0.0
-    bodies = boxes(comm, [block, tool], cell)
-    of = bodies.names
-    facet_tags = tag_facets(
-        bodies.mesh,
-        [
-            (BOTTOM, lambda x: np.isclose(x[2], 0.0), of["block"]),
-            (BLOCK, lambda x: np.isclose(x[2], top), of["block"]),
-            (TOOL, lambda x: np.isclose(x[2], touching), of["tool"]),
-            (PRESSED, lambda x: np.isclose(x[2], pressed), of["tool"]),
-        ],
-        bodies.cell_tags,
-    )
+    marks = [(BOTTOM, at(2, 0.0), 1), (BLOCK, at(2, top), 1)]
+    marks += [(TOOL, at(2, touching), 2), (PRESSED, at(2, pressed), 2)]
+    bodies = Scene.of_boxes(comm, cell, [block, tool], marks, degree=degree)
     if scene == "ironing":
-        points = bodies.mesh.geometry.x
-        cells = _compat.geometry_cells(bodies.mesh)
-        nodes = np.unique(cells[bodies.cell_tags.find(of["tool"])])
+        points, nodes = bodies.mesh.geometry.x, bodies.nodes(2)
         points[nodes] = bent(points[nodes])
-    return bodies, facet_tags
+    return bodies
 
 
 def problem_of(
@@ -89,32 +76,22 @@ def problem_of(
     full: bool,
     degree: int,
     cell: str,
-) -> Any:
+) -> ContactProblem:
     """Return the problem of one row of the table."""
-    bodies, facet_tags = bodies_of(scene, refinements, cell)
-    mesh = bodies.mesh
-    constant = _compat.lagrange_space(mesh, 0, discontinuous=True)
-    young, nu = fem.Function(constant), fem.Function(constant)
-    young.x.array[:], nu.x.array[:] = 1.0, nu_of_block
-    of_tool = _compat.cell_dofs(constant).ravel()[bodies.cell_tags.find(bodies.names["tool"])]
-    young.x.array[of_tool], nu.x.array[of_tool] = 1e3, 0.0
-    V = displacement_space(mesh, degree=degree)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    bodies = bodies_of(scene, refinements, cell, degree)
+    young, nu = (
+        piecewise_constant(bodies.mesh, bodies.cell_tags, {1: of_block, 2: of_tool})
+        for of_block, of_tool in ((1.0, 1e3), (nu_of_block, 0.0))
+    )
+    u, v = bodies.u, bodies.v
     mu, lmbda = 0.5 * young / (1 + nu), young * nu / ((1 + nu) * (1 - 2 * nu))
     one_point = {} if full else {"metadata": {"quadrature_degree": 0}}
-    a = 2 * mu * ufl.inner(ufl.sym(ufl.grad(u)), ufl.sym(ufl.grad(v))) * ufl.dx
-    a += lmbda * ufl.div(u) * ufl.div(v) * ufl.dx(**one_point)
-    L = ufl.inner(fem.Constant(mesh, np.zeros(3)), v) * ufl.dx
-    bcs = [
-        fem.dirichletbc(
-            np.array([0.0, 0.0, height]),
-            fem.locate_dofs_topological(V, 2, facet_tags.find(tag)),
-            V,
-        )
-        for tag, height in ((BOTTOM, 0.0), (PRESSED, -DESCENT))
-    ]
-    surfaces = (TOOL, BLOCK) if slave == "tool" else (BLOCK, TOOL)
-    return ContactProblem(a, L, bcs=bcs, contacts=[ContactPair(facet_tags, *surfaces)])
+    bodies.a = 2 * mu * ufl.inner(strain(u), strain(v)) * ufl.dx
+    bodies.a += lmbda * ufl.div(u) * ufl.div(v) * ufl.dx(**one_point)
+    for tag, height in ((BOTTOM, 0.0), (PRESSED, -DESCENT)):
+        bodies.fix(tag, None, np.array([0.0, 0.0, height]))
+    bodies.add_pair(*((TOOL, BLOCK) if slave == "tool" else (BLOCK, TOOL)))
+    return bodies.problem(cell_tags=None)
 
 
 def run(
