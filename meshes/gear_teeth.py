@@ -13,7 +13,7 @@ from pathlib import Path
 
 import gmsh
 import numpy as np
-from gmsh_files import closed, command_line, name_group, new_file, surface
+from gmsh_files import closed, command_line, name_group, new_file, set_size_formula, surface
 
 MODULE, PRESSURE_ANGLE = 4e-3, np.radians(20)
 PINION, WHEEL = 20, 28  # numbers of teeth
@@ -144,11 +144,9 @@ def gear_teeth(output: Path, element_size: float = 0.03e-3) -> None:
         # after both bodies: to synchronise the second would undo it for the first
         for _, side in gmsh.model.getEntities(1):
             gmsh.model.mesh.setTransfiniteCurve(side, 2)
-        field = gmsh.model.mesh.field.add("MathEval")
         away = "sqrt((x-({}))^2+(y-({}))^2)".format(*PITCH_POINT)
         law = f"{FINER * element_size}+{GROWTH}*0.5*({away}-{NEAR}+abs({away}-{NEAR}))"
-        gmsh.model.mesh.field.setString(field, "F", law)
-        gmsh.model.mesh.field.setAsBackgroundMesh(field)
+        set_size_formula(law)
         gmsh.option.setNumber("Mesh.MeshSizeMax", INSIDE)
         gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
         gmsh.model.mesh.generate(2)

@@ -127,6 +127,13 @@ def set_size(size: Callable[..., float]) -> None:
     ignore_other_sizes()
 
 
+def set_size_formula(formula: str) -> None:
+    """Let the size of elements follow a formula of x, y, z, beside what else limits it."""
+    field = gmsh.model.mesh.field.add("MathEval")
+    gmsh.model.mesh.field.setString(field, "F", formula)
+    gmsh.model.mesh.field.setAsBackgroundMesh(field)
+
+
 def ignore_other_sizes() -> None:
     """Take the sizes of elements from no points, curves or boundaries."""
     for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):

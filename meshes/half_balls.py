@@ -24,6 +24,7 @@ from gmsh_files import (
     ignore_other_sizes,
     joined,
     session,
+    set_size_formula,
     write,
 )
 
@@ -74,10 +75,8 @@ def unstructured_half_ball(gdim: int, radius: float, size: float) -> tuple[np.nd
             box = occ.addRectangle(0, 0, 0, radius, radius)
         occ.intersect([(gdim, ball)], [(gdim, box)])
         occ.synchronize()
-        field = mesh.field.add("MathEval")
         away = f"(sqrt(x^2+y^2+z^2)-{PATCH})"
-        mesh.field.setString(field, "F", f"{size}+{GROWTH - 1}*0.5*({away}+abs({away}))")
-        mesh.field.setAsBackgroundMesh(field)
+        set_size_formula(f"{size}+{GROWTH - 1}*0.5*({away}+abs({away}))")
         ignore_other_sizes()
         mesh.generate(gdim)
         mesh.renumberNodes()

@@ -13,7 +13,7 @@ import math
 from pathlib import Path
 
 import gmsh
-from gmsh_files import closed, command_line, graded, name_group, new_file, surface
+from gmsh_files import closed, command_line, graded, name_group, new_file, set_size_formula, surface
 
 RADIUS = 0.1
 WIDTH, THICKNESS = 0.4, 0.15  # of the plates
@@ -89,10 +89,8 @@ def plate(elements: int, name: str, sign: int) -> None:
 def grow_from_contact(elements: int) -> None:
     """Let the elements grow with the distance from the nearer place of contact."""
     finest = TOUCHING / elements
-    field = gmsh.model.mesh.field.add("MathEval")
     square = f"(x*x + (abs(y) - {RADIUS})*(abs(y) - {RADIUS}))"
-    gmsh.model.mesh.field.setString(field, "F", f"sqrt({finest**2} + {0.12**2}*{square})")
-    gmsh.model.mesh.field.setAsBackgroundMesh(field)
+    set_size_formula(f"sqrt({finest**2} + {0.12**2}*{square})")
 
 
 def roller_between_plates(output: Path, elements: int = 24) -> None:

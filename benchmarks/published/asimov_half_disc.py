@@ -9,12 +9,12 @@ contact 2 sqrt(R P / (pi E*)) = 0.9628, largest pressure 2 P / (pi a) = 6.612, w
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
 
 import ufl
@@ -24,49 +24,17 @@ from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import displacement_space, read_msh
 from fenics_tfeti.models import isotropic, symmetry_plane
 
+sys.path.append(str(Path(__file__).parents[2] / "meshes"))
+from half_disc_on_block import half_disc_on_block
+
 R, SIDE, PRESSURE, YOUNG, POISSON, FINEST = 8.0, 10.0, 0.625, 200.0, 0.3, 0.05
 HALF_WIDTH = 2 * np.sqrt(2 * R**2 * PRESSURE / (np.pi * YOUNG / (2 * (1 - POISSON**2))))
 LARGEST = 4 * R * PRESSURE / (np.pi * HALF_WIDTH)
 
 
-def halves(path: str) -> None:
-    """Make the mesh of half a half disc on half a block, fine where they touch."""
-    gmsh.initialize()
-    gmsh.option.setNumber("General.Terminal", 0)
-    occ, model = gmsh.model.occ, gmsh.model
-    disc = occ.addDisk(0, R, 0, R, R)
-    part = occ.addRectangle(0, 0, 0, R, R)
-    (disc,), _ = occ.intersect([(2, disc)], [(2, part)])
-    block = occ.addRectangle(0, -2 * SIDE, 0, SIDE, 2 * SIDE)
-    occ.synchronize()
-    tags = {"disc": (2, [disc[1]]), "block": (2, [block])}
-    for name, box in {
-        "axis": (-1, -2 * SIDE - 1, 1e-3, R + 1),
-        "top": (-1, R - 1e-3, R + 1, R + 1e-3),
-        "foot": (-1, -2 * SIDE - 1e-3, SIDE + 1, 1e-3 - 2 * SIDE),
-        "face": (-1, -1e-3, SIDE + 1, 1e-3),
-    }.items():
-        found = model.getEntitiesInBoundingBox(box[0], box[1], -1, box[2], box[3], 1, 1)
-        tags[name] = (1, [tag for _, tag in found])
-    straight = [*tags["axis"][1], *tags["top"][1]]
-    boundary = [tag for _, tag in model.getBoundary([disc], oriented=False)]
-    tags["arc"] = (1, [tag for tag in boundary if tag not in straight])
-    for name, (dim, entities) in tags.items():
-        model.setPhysicalName(dim, model.addPhysicalGroup(dim, entities), name)
-    field = model.mesh.field.add("MathEval")
-    size = f"{FINEST}+0.12*Max(Sqrt(x*x+y*y)-1.4,0)"
-    model.mesh.field.setString(field, "F", size)
-    model.mesh.field.setAsBackgroundMesh(field)
-    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
-    model.mesh.generate(2)
-    model.mesh.setOrder(2)
-    gmsh.write(path)
-    gmsh.finalize()
-
-
 with TemporaryDirectory() as folder:
-    path = str(Path(folder) / "roller.msh")
-    halves(path)
+    path = Path(folder) / "roller.msh"
+    half_disc_on_block(path, R, SIDE, FINEST, near=1.4)
     bodies = read_msh(path, MPI.COMM_SELF, gdim=2)
 mesh, facets, tags = bodies.mesh, bodies.facet_tags, bodies.names
 V = displacement_space(mesh, degree=2)

@@ -9,12 +9,12 @@ of the contact 6.21 mm, largest pressure 3585.37 MPa. Millimetres, newtons, mega
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
 
 import ufl
@@ -24,48 +24,16 @@ from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import displacement_space, piecewise_constant, read_msh
 from fenics_tfeti.models import isotropic, symmetry_plane
 
+sys.path.append(str(Path(__file__).parents[2] / "meshes"))
+from half_disc_on_block import half_disc_on_block
+
 R, SIDE, FORCE, POISSON, FINEST = 50.0, 100.0, 35e3, 0.3, 0.3
-YOUNG = {"cylinder": 210e3, "block": 70e3}
-
-
-def halves(path: str) -> None:
-    """Make the mesh of half a half cylinder on half a block, fine where they touch."""
-    gmsh.initialize()
-    gmsh.option.setNumber("General.Terminal", 0)
-    occ, model = gmsh.model.occ, gmsh.model
-    disc = occ.addDisk(0, R, 0, R, R)
-    part = occ.addRectangle(0, 0, 0, R, R)
-    (cylinder,), _ = occ.intersect([(2, disc)], [(2, part)])
-    block = occ.addRectangle(0, -2 * SIDE, 0, SIDE, 2 * SIDE)
-    occ.synchronize()
-    tags = {"cylinder": (2, [cylinder[1]]), "block": (2, [block])}
-    for name, box in {
-        "axis": (-1, -2 * SIDE - 1, 1e-3, R + 1),
-        "top": (-1, R - 1e-3, R + 1, R + 1e-3),
-        "foot": (-1, -2 * SIDE - 1e-3, SIDE + 1, 1e-3 - 2 * SIDE),
-        "face": (-1, -1e-3, SIDE + 1, 1e-3),
-    }.items():
-        found = model.getEntitiesInBoundingBox(box[0], box[1], -1, box[2], box[3], 1, 1)
-        tags[name] = (1, [tag for _, tag in found])
-    straight = [*tags["axis"][1], *tags["top"][1]]
-    boundary = [tag for _, tag in model.getBoundary([cylinder], oriented=False)]
-    tags["arc"] = (1, [tag for tag in boundary if tag not in straight])
-    for name, (dim, entities) in tags.items():
-        model.setPhysicalName(dim, model.addPhysicalGroup(dim, entities), name)
-    field = model.mesh.field.add("MathEval")
-    size = f"{FINEST}+0.12*Max(Sqrt(x*x+y*y)-9,0)"
-    model.mesh.field.setString(field, "F", size)
-    model.mesh.field.setAsBackgroundMesh(field)
-    gmsh.option.setNumber("Mesh.MeshSizeExtendFromBoundary", 0)
-    model.mesh.generate(2)
-    model.mesh.setOrder(2)
-    gmsh.write(path)
-    gmsh.finalize()
+YOUNG = {"disc": 210e3, "block": 70e3}
 
 
 with TemporaryDirectory() as folder:
-    path = str(Path(folder) / "roller.msh")
-    halves(path)
+    path = Path(folder) / "roller.msh"
+    half_disc_on_block(path, R, SIDE, FINEST, near=9.0)
     bodies = read_msh(path, MPI.COMM_SELF, gdim=2)
 mesh, facets, tags = bodies.mesh, bodies.facet_tags, bodies.names
 E = piecewise_constant(mesh, bodies.cell_tags, {tags[name]: YOUNG[name] for name in YOUNG})
