@@ -159,8 +159,8 @@ class TornProblem:
     ) -> TornSystem:
         """Return the system for an increment of u: tangents and loads there. Collective.
 
-        The coordinates are the deformed ones, and tangents have the stiffness of the pairs' contact
-        forces, but in subdomains with small strains.
+        The coordinates are the deformed ones, and tangents have the stiffness of contact forces
+        that turn with the surfaces, but in subdomains with small strains.
         """
         values, prescribed = self.nodes.values(u), rows.conditions.prescribed
         subdomains = self.torn.assemble()
@@ -189,7 +189,7 @@ class TornProblem:
             with self._timer.phase("compilation"):
                 contacts = [found.contact for found in rows.conditions.contacts]
                 self._contact_stiffness = ContactStiffness(u, contacts, self.data.compiler)
-        return self._contact_stiffness.matrices(self.torn, rows.pair_force(multipliers))
+        return self._contact_stiffness.matrices(self.torn, rows.turning_force(multipliers))
 
     def internal_force(self) -> Vector:
         """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""

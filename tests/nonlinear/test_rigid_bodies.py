@@ -29,14 +29,14 @@ E = 1e6
 ranks = pytest.mark.ranks
 
 
-def rubber(contacts, width=1.0, n=4):
-    """Return the problem of a soft block, clamped at its bottom, and the Scene of its mesh."""
-    marks = [(LOADED, at(1, 1.0)), (GROUND, at(1, 0.0))]
-    box = ((0.0, 0.0), (width, 1.0), (round(n * width), n))
-    scene = Scene.of_boxes(COMM, "quadrilateral", [box], marks)
+def rubber(contacts, width=1.0, n=4, dim=2):
+    """Return the problem of a soft block, clamped at its bottom."""
+    marks = [(LOADED, at(dim - 1, 1.0)), (GROUND, at(dim - 1, 0.0))]
+    box = ((0.0,) * dim, (width,) + (1.0,) * (dim - 1), (round(n * width),) + (n,) * (dim - 1))
+    scene = Scene.of_boxes(COMM, {2: "quadrilateral", 3: "hexahedron"}[dim], [box], marks)
     scene.fix(GROUND)
     u = fem.Function(scene.V)
-    energy = neo_hookean(E, 0.3)(u) * ufl.dx
+    energy = neo_hookean(E, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2})
     F = ufl.derivative(energy, u, ufl.TestFunction(scene.V))
     listed = [RigidObstacle(scene.facet_tags, LOADED, **contact) for contact in contacts]
     return NonlinearContactProblem(F, u, bcs=scene.bcs, contacts=listed)
@@ -83,6 +83,31 @@ def test_force_and_prescribed_motion_are_inverse():
     assert free.translation[1] == pytest.approx(-0.05, rel=1e-4)
     assert free.rotation[0] == pytest.approx(-0.05, rel=1e-4)
     assert np.abs(problem.u.x.array - first).max(initial=0.0) <= 1e-4 * 0.05
+
+
+@ranks
+@pytest.mark.parametrize("friction", [None, Coulomb(0.05)])
+def test_plate_tilts_about_two_axes(friction):
+    """Prescribed motions and the loads that these take; the rubber slides along the plate."""
+    plane = Plane((0.5, 0.5, 1.0), (0.0, 0.0, -1.0))
+
+    def solved(**more):
+        plate = RigidBody((0.5, 0.5, 1.0), name="plate", **more)
+        problem = rubber([{"obstacle": plane, "body": plate, "friction": friction}], n=2, dim=3)
+        problem.solve()
+        assert len(problem.report.newton) <= 8
+        return problem.rigid_bodies["plate"]
+
+    # a motion of which a load keeps the direction, but for the moment about the vertical
+    down, turned = -0.16, [0.1, -0.06, 0.0]
+    held = solved(translation=(0.0, 0.0, down), rotation=turned)
+    force, moment = (0.0, 0.0, held.reaction[2]), (*held.reaction_moment[:2], 0.0)
+    free = solved(
+        force=force, moment=moment, translation=(0.0, 0.0, None), rotation=(None, None, 0.0)
+    )
+    assert free.translation[2] == pytest.approx(down, rel=1e-4)
+    # about the vertical it has the sum of steps, which are about other axes each
+    assert free.rotation[:2] == pytest.approx(turned[:2], rel=1e-4)
 
 
 def test_wheel_rolls_on_rubber():

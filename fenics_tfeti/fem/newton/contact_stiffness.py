@@ -1,8 +1,12 @@
-"""Stiffness of contact forces whose directions turn with the surfaces of pairs.
+"""Stiffness of contact forces whose directions turn with the surfaces.
 
 The gap of a pair has the second variation 2 (du_slave - du_master)'dn, and the normal turns by
 dn = -(grad du)'n along the surface. Where contact is closed both surfaces turn alike, so each body
 can take its own normal: the stiffness is a sum over the bodies, and stays with their subdomains.
+
+An obstacle on a rigid body turns with it, so that its slave has such a stiffness, too. The rigid
+body has none. Where friction sticks, the parts of the two would cancel, as nothing slides: there
+the slave of a rigid body has none, either.
 """
 
 from __future__ import annotations
@@ -30,14 +34,14 @@ _FAR = 0.8
 
 
 class ContactStiffness:
-    """The pressures on the surfaces of all contact pairs, and their stiffness on subdomains."""
+    """The pressures on surfaces with normals that turn, and their stiffness on subdomains."""
 
     def __init__(self, u: Function, contacts: Sequence[Contact], compiler: CompilerOptions) -> None:
         self._nodes = NodeMap(u.function_space)
         self._forms: PreparedForms | None = None
-        pairs = [contact for contact in contacts if isinstance(contact, ContactPair)]
-        if pairs:
-            facets = [p.facet_tags.find(tag) for p in pairs for tag in (p.slave, p.master)]
+        turning = [contact for contact in contacts if has_turning_normals(contact)]
+        if turning:
+            facets = [c.facet_tags.find(tag) for c in turning for tag in _surfaces(c)]
             self._pressure, self._forms = _forms(u, np.unique(np.concatenate(facets)), compiler)
 
     def matrices(self, torn: TornMesh, force: Vector) -> list[sp.csr_matrix | None]:
@@ -52,6 +56,16 @@ class ContactStiffness:
         self._nodes.values(self._pressure)[: self._nodes.owned, 0] = pressure
         self._pressure.x.scatter_forward()
         return [K if np.abs(K.data).max(initial=0.0) else None for K in torn.matrices(self._forms)]
+
+
+def has_turning_normals(contact: Contact) -> bool:
+    """Tell whether the master is a deformable or a rigid body, not an obstacle by itself."""
+    return isinstance(contact, ContactPair) or contact.body is not None
+
+
+def _surfaces(contact: Contact) -> list[int]:
+    """Return the tags of the surfaces that are of the mesh."""
+    return [contact.slave, contact.master] if isinstance(contact, ContactPair) else [contact.slave]
 
 
 def with_contact_stiffness(subdomain: Subdomain, K: sp.csr_matrix) -> Subdomain:

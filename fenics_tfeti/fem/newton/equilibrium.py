@@ -18,9 +18,9 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
@@ -83,16 +83,21 @@ class DeformedRows:
         distance: Vector = self.contacts.gap / self.contacts.length
         return distance
 
-    def pair_force(self, multipliers: Multipliers) -> Vector:
-        """Return the normal forces of contact pairs alone at the nodes as `force`. Collective."""
-        of_pairs = Multipliers.none(self)
+    def turning_force(self, multipliers: Multipliers) -> Vector:
+        """Return the normal forces that have `ContactStiffness`, at the nodes as `force`.
+
+        Collective.
+        """
+        turning = Multipliers.none(self)
         size = 0
         for found in self.conditions.contacts:
             rows = slice(size, size + found.pairing.surface.nodes.size)
             size = rows.stop
-            if isinstance(found.contact, ContactPair):
-                of_pairs.normal[rows] = multipliers.normal[rows]
-        return self.force(of_pairs)[0]
+            if has_turning_normals(found.contact):
+                turning.normal[rows] = multipliers.normal[rows]
+            if found.body is not None or found.rigid_master is not None:
+                turning.normal[rows][multipliers.sticking[rows]] = 0.0
+        return self.force(turning)[0]
 
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
@@ -129,12 +134,15 @@ class Multipliers:
     normal: Vector  # (s,)
     tangential: Vector  # (s, gdim), against the force on the slave
     tied: Vector  # (tied rows,)
+    sticking: Mask  # (s,): where friction has held the last increment
 
     @staticmethod
     def none(rows: DeformedRows) -> Multipliers:
         """Return zeros."""
         size, gdim = rows.surface_nodes.size, rows.conditions.boundary.nodes.components
-        return Multipliers(np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size))
+        return Multipliers(
+            np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size), np.zeros(size, bool)
+        )
 
     @staticmethod
     def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
@@ -144,6 +152,7 @@ class Multipliers:
         new.tangential[rows.place[site]] = np.einsum(
             "kt,kta->ka", solution.tangential_force / length[site, None], rows.friction.tangents
         )
+        new.sticking[rows.place[site]] = solution.sticking
         return replace(new, tied=solution.tied_force / rows.tied.length)
 
     @staticmethod
@@ -163,7 +172,8 @@ class Multipliers:
         """Return multipliers of the same shapes; pressures are not negative."""
         ends = np.cumsum([self.normal.size, self.tangential.size])
         normal, tangential, tied = np.split(values, ends)
-        return Multipliers(np.maximum(normal, 0.0), tangential.reshape(self.tangential.shape), tied)
+        tangential = tangential.reshape(self.tangential.shape)
+        return replace(self, normal=np.maximum(normal, 0.0), tangential=tangential, tied=tied)
 
 
 @dataclass(frozen=True)
