@@ -103,9 +103,12 @@ def _bolts(report: Mapping[str, Any], units: Units) -> list[str]:
 
 
 def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:
+    moment = f"{units.force} {units.length}"
     columns = {"translation": units.length, "rotation": "rad"}
-    columns |= {"force": units.force, "reaction": units.force}
-    rows = [("rigid body", *(f"{name} [{unit}]" for name, unit in columns.items()))]
+    columns |= {"force": units.force, "moment": moment}
+    columns |= {"reaction": units.force, "reaction_moment": moment}
+    head = (f"{name.replace('_', ' ')} [{unit}]" for name, unit in columns.items())
+    rows = [("rigid body", *head)]
     for body in report["rigid_bodies"]:
         rows.append((body["name"], *(", ".join(map(_number, body[name])) for name in columns)))
     return _section("Rigid bodies", rows)

@@ -288,6 +288,22 @@ def test_turned_body_with_exact_geometry():
     assert joint.active.any()
 
 
+def test_page(tmp_path):
+    """Rigid bodies have a table of their own, with the moments that hold them."""
+    pytest.importorskip("plotly")
+    scene = block(2)
+    plate = RigidBody((0.0, 1.0), force=(0.0, -FORCE), translation=(0.0, None), rotation=0.0)
+    scene.add_obstacle(LOADED, above(2), body=plate)
+    problem = scene.problem()
+    problem.solve()
+    problem.report.to_html(tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert "<h2>Rigid bodies</h2>" in page and "<th>reaction moment [N m]</th>" in page
+    moment = problem.rigid_bodies[0].reaction_moment[0]
+    assert moment == pytest.approx(-0.5 * FORCE, rel=1e-6)
+    assert f"<td>{moment:.4g}</td>" in page
+
+
 @ranks
 def test_rotation_that_is_not_small():
     """The hinged bar without `Exact`: one warning."""
