@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 
 from mpi4py import MPI
@@ -108,8 +109,52 @@ def test_gaps():
         warnings.simplefilter("always")
         assert find_contacts(made.mesh, distance=0.19) == []
     messages = [str(warning.message) for warning in caught]
-    assert messages == [m for m in messages if "none of 2 bodies are near" in m]
+    wanted = r"none of 2 bodies are near .* gap is 0.2, between .*find_contacts.* distance=0.202\)"
+    assert all(re.search(wanted, message) for message in messages)
     assert COMM.allreduce(len(messages)) == 1
+    assert len(joint(*bodies, distance=0.202)[1]) == 1
+
+
+def test_bodies_beside_each_other():
+    """No facet of one is opposite to one of the other, whatever their distance."""
+    made = boxes(COMM, [Box((0, 0), (1, 1), (2, 2)), Box((2, 2), (3, 3), (2, 2))], "quadrilateral")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert find_contacts(made.mesh) == []
+    messages = [str(warning.message) for warning in caught]
+    assert COMM.allreduce(sum("No facet is opposite" in message for message in messages)) == 1
+
+
+@pytest.mark.parametrize(("slope", "facets"), [(0.05, 10), (0.3, 2)])
+def test_facets_that_are_inclined(slope, facets):
+    """Of a gap that opens, on meshes that grow with it: inclined facets count next to its edge."""
+    slabs = [Box((0, k), (1, k + 1), (10, 2)) for k in range(2)]
+    made = boxes(COMM, slabs, "quadrilateral")
+    mesh, x = made.mesh, made.mesh.geometry.x
+    x[:, 0] *= x[:, 0]
+    mesh.topology.create_connectivity(2, 2)
+    upper = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(2)))
+    x[upper, 1] += slope * x[upper, 0] * (2.0 - x[upper, 1])
+    (pair,) = find_contacts(mesh, made.cell_tags)
+    assert [len(part) for part in middles(mesh, pair)] == [facets, facets]
+
+
+def test_bodies_that_are_left_out():
+    """Blocks on fine facets of a floor, with coarse and inclined sides next to each other."""
+    floor, left = Box((0, -1), (2.2, 0), (44, 2)), Box((0, 0), (1, 1), (20, 2))
+    made = boxes(COMM, [floor, left, Box((1.2, 0), (2.2, 1), (20, 2))], "quadrilateral")
+    mesh, x = made.mesh, made.mesh.geometry.x
+    mesh.topology.create_connectivity(2, 2)
+    right = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(3)))
+    x[right, 0] += 0.3 * x[right, 1]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        assert len(find_contacts(mesh, made.cell_tags)) == 2
+    messages = COMM.allreduce([str(warning.message) for warning in caught])
+    assert len(messages) == 1
+    found = re.search(r"1 pairs of bodies get no .* body 1 .* body 2 .* distance=(.*)\)", *messages)
+    assert len(find_contacts(mesh, made.cell_tags, distance=float(found[1]))) == 3
+    assert len(find_contacts(mesh, made.cell_tags, whole_faces=True)) == 3
 
 
 def test_thin_sheets():

@@ -45,6 +45,9 @@ from fenics_tfeti.parallel import (
 )
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
+# angle by which facets that touch face to face may be inclined before [rad]
+_INCLINED = 0.1
+
 
 def find_contacts(
     mesh: Mesh,
@@ -67,8 +70,10 @@ def find_contacts(
     cell_tags : MeshTags, optional
         The bodies, as for `ContactProblem`; by default the connected parts of the mesh.
     distance : float, optional
-        Largest gap between facets [m], by default the shortest edge of the facet. A part of a
-        surface that may touch later has to be within it.
+        Largest gap between facets [m]. A part of a surface that may touch later has to be within
+        it. By default it is the shortest edge of the facet. Without `whole_faces`, that of facets
+        which are inclined to each other by more than 0.1 rad is the one where their bodies are
+        nearest to others; a warning has the pairs of bodies that are left out.
     friction : Tresca or Coulomb, optional
         The law of friction of all pairs; by default there is none.
     whole_faces : bool
@@ -105,17 +110,14 @@ def find_contacts(
     bodies = find_bodies(mesh, cell_tags)
     check_cells(mesh, bodies)
     facets = ExteriorFacets.of(mesh, bodies)
-    opposite, ratio = _opposite_facets(comm, facets, distance)
-    apart = _is_apart(comm, opposite, bodies)
-    opposite, ratio = opposite[apart], ratio[apart]
-    opposite = opposite[_is_from_slave(comm, opposite, ratio)]
-    surfaces = _surfaces(comm, opposite, facets, whole_faces)
-    with raise_collectively(comm):
-        if not surfaces and comm.rank == 0:
-            warn_user(
-                f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
-                "no contact between them. Where there are gaps, pass a larger distance"
-            )
+    opposite = _opposite_facets(comm, facets, distance)
+    opposite = opposite.chosen(_is_apart(comm, opposite, bodies))
+    if distance is None and not whole_faces:
+        opposite = opposite.chosen(_may_touch(comm, opposite, bodies))
+    opposite = opposite.chosen(_is_from_slave(comm, opposite))
+    surfaces = _surfaces(comm, opposite.rows, facets, whole_faces)
+    if not surfaces:
+        _warn_of_gaps(comm, facets, bodies)
     contacts = []
     for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
         tags = [2 * number + 1, 2 * number + 2]
@@ -136,15 +138,32 @@ def find_contacts(
     return contacts
 
 
+@dataclass(frozen=True)
+class OppositeFacets:
+    """Facets of this rank, each with one opposite to it of another body."""
+
+    rows: Numbers  # (p, 4): bodies of both, the facet, and the number of the other over all ranks
+    ratio: Vector  # (p,): size of the other over that of the facet, by their areas
+    gap: Vector  # (p,): distance along the facet's normal [m]
+    reach: Vector  # (p,): largest gap that is looked for [m]
+    cosine: Vector  # (p,): of the angle by which they are inclined to each other
+
+    def chosen(self, kept: Mask) -> OppositeFacets:
+        """Return some of the pairs."""
+        return OppositeFacets(*(column[kept] for column in vars(self).values()))
+
+    def nearest(self, comm: MPI.Intracomm) -> tuple[float, list[int]]:
+        """Return the smallest gap of all ranks, and its bodies; infinite without. Collective."""
+        bodies = np.sort(self.rows[:, :2], axis=1)
+        pairs = zip(self.gap.tolist(), bodies.tolist(), strict=True)
+        nearest: tuple[float, list[int]] = min(comm.allgather(min(pairs, default=(np.inf, []))))
+        return nearest
+
+
 def _opposite_facets(
     comm: MPI.Intracomm, facets: ExteriorFacets, distance: float | None
-) -> tuple[Numbers, Vector]:
-    """Find the facets opposite to those of this rank. Collective.
-
-    Rows (p, 4) are the bodies of a facet and of the one opposite it, the facet, and the number of
-    the other over all ranks; the second result (p,) is the size of the other over that of the
-    facet, by their areas.
-    """
+) -> OppositeFacets:
+    """Find the facets opposite to those of this rank. Collective."""
     x, n = facets.corners, facets.number.size
     v, gdim = x.shape[1:]
     reach = edge_lengths(x).min(axis=1) if distance is None else np.full(n, float(distance))
@@ -160,7 +179,7 @@ def _opposite_facets(
     nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
     points = corners.reshape(-1, gdim)[first]
     others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
-    parts, ratios = [np.zeros((0, 4), dtype=np.int64)], [np.zeros(0)]
+    parts, measures = [np.zeros((0, 4), dtype=np.int64)], [np.zeros((0, 4))]
     if n:
         areas = Planes.of(corners).area
         surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
@@ -173,9 +192,11 @@ def _opposite_facets(
             cells = nearest_layers(cells, planes, tree)
             bodies = (facets.body[cells.slave], body[cells.master])
             parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
-            ratio = areas[cells.master] / planes.area[cells.slave]
-            ratios.append(ratio ** (1.0 / (gdim - 1)))
-    return np.concatenate(parts), np.concatenate(ratios)
+            ratio = (areas[cells.master] / planes.area[cells.slave]) ** (1.0 / (gdim - 1))
+            gap, normals = np.abs(cells.centre()[1]), (planes.normal, tree.planes.normal)
+            cosine = -np.sum(normals[0][cells.slave] * normals[1][cells.master], axis=1)
+            measures.append(np.column_stack([ratio, gap, reach[cells.slave], cosine]))
+    return OppositeFacets(np.concatenate(parts), *np.concatenate(measures).T)
 
 
 def _is_near(
@@ -196,11 +217,12 @@ def _is_near(
     return near
 
 
-def _is_apart(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Mask:
-    """Tell which rows are of bodies that are not glued; warn of those that are. Collective."""
-    first, second = bodies.part[opposite[:, :2]].T
+def _is_apart(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> Mask:
+    """Tell which pairs are of bodies that are not glued; warn of those that are. Collective."""
+    of_bodies = opposite.rows[:, :2]
+    first, second = bodies.part[of_bodies].T
     glued = first == second
-    pairs = distinct_rows(concatenate_ranks(comm, np.sort(opposite[glued, :2], axis=1)))[0]
+    pairs = distinct_rows(concatenate_ranks(comm, np.sort(of_bodies[glued], axis=1)))[0]
     with raise_collectively(comm):
         if len(pairs) and comm.rank == 0:
             names = " and ".join(bodies.names[body] for body in pairs[0])
@@ -213,17 +235,76 @@ def _is_apart(comm: MPI.Intracomm, opposite: Numbers, bodies: Bodies) -> Mask:
     return apart
 
 
-def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, ratio: Vector) -> Mask:
-    """Tell which rows (p, 4), see `_opposite_facets`, are of the two bodies' slave. Collective.
+def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> Mask:
+    """Tell which pairs may touch with small strains; warn of bodies without one. Collective.
+
+    Facets that are inclined do not become parallel then: they touch where their bodies are
+    nearest to others, within the size of the facets there.
+    """
+    gap, reach, of_bodies = opposite.gap, opposite.reach, opposite.rows[:, :2].T
+    nearest = np.full(len(bodies.names), np.inf)
+    size = np.zeros(len(bodies.names))
+    for body in of_bodies:
+        np.minimum.at(nearest, body, gap)
+    comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)
+    for body in of_bodies:
+        there = gap <= nearest[body] + SAME_PLACE * reach
+        np.maximum.at(size, body[there], reach[there])
+    comm.Allreduce(MPI.IN_PLACE, size, MPI.MAX)
+    may_touch: Mask = gap <= size[of_bodies].max(axis=0)
+    may_touch |= opposite.cosine >= np.cos(_INCLINED)
+    pair = np.max(of_bodies, axis=0) * nearest.size + np.min(of_bodies, axis=0)
+    kept = np.unique(concatenate_ranks(comm, np.unique(pair[may_touch])))
+    lost = ~np.isin(pair, kept)
+    number = np.unique(concatenate_ranks(comm, np.unique(pair[lost]))).size
+    least, names = opposite.chosen(lost).nearest(comm)
+    with raise_collectively(comm):
+        if number and comm.rank == 0:
+            warn_user(
+                f"find_contacts: {number} pairs of bodies get no contact, because they are "
+                "farther apart than the facets are large where these bodies are nearest to others: "
+                f"the nearest {' and '.join(bodies.names[body] for body in names)}, with a gap of "
+                f"{least:.3g}. Where they may touch, pass "
+                f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * least:.3g})"
+            )
+    return may_touch
+
+
+def _warn_of_gaps(comm: MPI.Intracomm, facets: ExteriorFacets, bodies: Bodies) -> None:
+    """Warn that no bodies are near each other, and say how far apart the nearest are. Collective.
+
+    Searched is the whole mesh.
+    """
+    x = concatenate_ranks(comm, facets.corners.reshape(-1, facets.corners.shape[2]))
+    found = _opposite_facets(comm, facets, float(np.linalg.norm(np.ptp(x, axis=0))))
+    first, second = bodies.part[found.rows[:, :2]].T
+    gap, pair = found.chosen(first != second).nearest(comm)
+    with raise_collectively(comm):
+        if comm.rank == 0:
+            names = " and ".join(bodies.names[body] for body in pair)
+            warn_user(
+                f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
+                "no contact between them. "
+                + (
+                    f"The smallest gap is {gap:.3g}, between {names}: where it may close, pass "
+                    f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * gap:.3g})"
+                    if pair
+                    else "No facet is opposite to one of another body"
+                )
+            )
+
+
+def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
+    """Tell which pairs are of the two bodies' slave. Collective.
 
     The condition number grows with the size of the master's facets over that of the slave's
     opposite them. The slave is the body for which the largest such ratio is the smaller one, of
     equal ones that with the lower number; a body without facets that are near the other is none.
     """
-    is_lower = opposite[:, 0] < opposite[:, 1]
+    ratio, is_lower = opposite.ratio, opposite.rows[:, 0] < opposite.rows[:, 1]
     ratios = np.where(is_lower, [ratio, 1.0 / ratio], [1.0 / ratio, ratio])
     values = np.column_stack([*ratios, is_lower, ~is_lower])
-    pairs, inverse = distinct_rows(np.sort(opposite[:, :2], axis=1))
+    pairs, inverse = distinct_rows(np.sort(opposite.rows[:, :2], axis=1))
     largest = np.zeros((len(pairs), 4))
     np.maximum.at(largest, inverse, values)
     every, inverse_of = distinct_rows(concatenate_ranks(comm, pairs))
@@ -233,8 +314,7 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: Numbers, ratio: Vector) -> Mas
     lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
     lower &= lower_is_near > 0.0
     first = first_of_rank(comm, len(pairs))[0]
-    own = inverse_of[first + inverse]
-    is_from_slave: Mask = is_lower == lower[own]
+    is_from_slave: Mask = is_lower == lower[inverse_of[first + inverse]]
     return is_from_slave
 
 
