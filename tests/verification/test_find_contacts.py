@@ -80,7 +80,7 @@ def test_pile_of_cylinders(gdim):
 @pytest.mark.heavy
 @pytest.mark.filterwarnings("ignore:find_contacts. 16 pairs of bodies:UserWarning")
 def test_roller_bearing(tmp_path):
-    """32 pairs of rollers and rings: loads as with four named pairs, nearly as few products."""
+    """32 pairs of rollers and rings: loads as with four named pairs, in not many more products."""
     sys.path.insert(0, str(ROOT / "meshes"))
     from roller_bearing import roller_bearing, small_bearing
 
@@ -118,7 +118,7 @@ def test_roller_bearing(tmp_path):
         products.append(problem.report.products["total"])
     assert len(pairs) == 32
     assert np.abs(loads[1] - loads[0]).max() < 1e-4 * loads[0].max()
-    assert products[1] < 1.5 * products[0]
+    assert products[1] < 2.0 * products[0]
 
 
 @pytest.mark.heavy

@@ -125,7 +125,7 @@ def test_rigid_race(meshes, tmp_path):
         for stiffer, bodies in (((1e6, ["inner ring"]), None), ((), {"inner ring": body}))
     )
     assert rigid.loads.max() > 2.0 * rigid.loads.min()
-    np.testing.assert_allclose(stiff.loads, rigid.loads, rtol=1e-4)
+    np.testing.assert_allclose(stiff.loads, rigid.loads, rtol=1e-6)
     np.testing.assert_allclose(rigid.problem.rigid_bodies["race"].force, -load, atol=1e-5 * 200e3)
 
 
