@@ -198,8 +198,8 @@ def solve_by_cones(system: TornSystem) -> ConicSolution:
         right.append(np.append(0.0, (T @ known - slip0)[mine]))
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    # what it reaches: it gives up early where less is asked for than rounding allows
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-14
+    settings.static_regularization_enable = False  # which limits the accuracy of the steps
     settings.max_iter = 100
     cones = [clarabel.NonnegativeConeT(len(N))] + [clarabel.SecondOrderConeT(gdim)] * m
     P = sp.block_diag([np.triu(K[np.ix_(free, free)]), sp.csc_matrix((m, m))], format="csc")
