@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.checks.bodies import check_bodies
+from fenics_tfeti.feti.local.fixing_nodes import unknowns_of_nodes
 from fenics_tfeti.feti.local.rigid_body_modes import kernel, rigid_body_modes
 from fenics_tfeti.feti.system import (
     ContactGuess,
@@ -359,7 +360,7 @@ def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:
     modes = 0
     for number in range(pieces):
         members = np.flatnonzero(piece == number)
-        unknowns = (gdim * members[:, None] + np.arange(gdim)).ravel()
+        unknowns = unknowns_of_nodes(members, gdim)
         part = Subdomain(
             K[unknowns][:, unknowns],
             subdomain.load[unknowns],

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.parallel import first_of_rank
+from fenics_tfeti.parallel import count_over_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -69,8 +67,8 @@ def hold_ground(
     offset, total = first_of_rank(layout.comm, new)
     if not total:
         return constraints, c
-    last = layout.comm.allreduce(int(layout.numbers.max(initial=-1)), MPI.MAX)
-    numbers = np.append(layout.numbers, last + 1 + offset + np.arange(new))
+    first = count_over_ranks(layout.comm, layout.numbers) + offset
+    numbers = np.append(layout.numbers, first + np.arange(new))
 
     # nobody else holds the new rows, which follow the owned ones
     places = np.arange(constraints.size)

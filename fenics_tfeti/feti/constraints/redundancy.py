@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.feti.local.fixing_nodes import unknowns_of_nodes
 from fenics_tfeti.feti.tolerances import PARALLEL
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -115,7 +116,7 @@ def _examine(
     gdim = coefficients.shape[1]
     column = np.unique(node, return_inverse=True)[1].ravel()
     position = np.repeat(np.searchsorted(rows.number, row), gdim)
-    columns = (gdim * column[:, None] + np.arange(gdim)).ravel()
+    columns = unknowns_of_nodes(column, gdim)
     C = sp.csr_matrix(
         (coefficients.ravel(), (position, columns)), (rows.number.size, int(columns.max()) + 1)
     )

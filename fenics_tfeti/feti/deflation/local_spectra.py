@@ -23,6 +23,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.costs import COLUMNS
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Mask, Numbers, Operator, Vector
 
@@ -121,7 +122,7 @@ def local_vectors(
     numbers: Numbers,
     unit: float,
     limits: Vector,
-    negative: Numbers,
+    negative: Sequence[int],
 ) -> LocalVectors:
     """Return Ritz vectors of P_s F_s P_s with values above a limit, or negative.
 
@@ -210,26 +211,23 @@ def _first_subspaces(
     kernels: Sequence[Vector],
     numbers: Numbers,
     limits: Vector,
-    negative: Numbers,
+    negative: Sequence[int],
 ) -> list[_Subspace]:
     """Return empty subspaces, with first blocks that depend on the numbers of the rows only."""
     first = seeded_vector(_BLOCK * numbers[:, None] + np.arange(_BLOCK))
     spaces = list[_Subspace]()
-    members = [congruent.members.size for congruent in interface.classes]
     modes = max((R.shape[1] for R in kernels), default=0)
     # kernels of fewer motions get columns of zeros
     padded = [np.pad(R, ((0, 0), (0, modes - R.shape[1]))) for R in kernels]
-    tiled = [np.tile(R, (k, 1)) for R, k in zip(padded, members, strict=True)]
-    G = torn.matrix @ np.concatenate([np.zeros((0, modes)), *tiled])
+    whole = [np.zeros((0, modes)), *of_subdomains(interface.classes, padded)]
+    G = torn.matrix @ np.concatenate(whole)
     for s in np.flatnonzero(np.diff(torn.ends)):
         rows = slice(int(torn.ends[s]), int(torn.ends[s + 1]))
         U, sizes, _ = np.linalg.svd(G[rows], full_matrices=False)
         motions = U[:, sizes > ZERO * sizes.max(initial=0.0)]
         none = np.zeros((rows.stop - rows.start, 0))
         block = new_directions(motions, first[rows])
-        spaces.append(
-            _Subspace(rows, float(limits[s]), int(negative[s]), motions, none, none, block)
-        )
+        spaces.append(_Subspace(rows, float(limits[s]), negative[s], motions, none, none, block))
     return spaces
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.system import TornSystem, node_graph
 from fenics_tfeti.parallel import Directory, any_rank
@@ -84,11 +85,10 @@ def _ratio_of_neighbours(
     `position` is that of the subdomain in the packed interface, `weights` are those of the nodes of
     all subdomains, one after the other.
     """
-    members = [c.members.size for c in interface.classes]
-    of = int(np.searchsorted(np.cumsum(members), position, side="right"))
-    number = interface.classes[of].members[position - sum(members[:of])]
+    number = int(np.concatenate([c.members for c in interface.classes])[position])
+    unknowns = of_subdomains(interface.classes, interface.unknowns)[position]
     sizes = [subdomain.nodes.size for subdomain in system.subdomains]
-    nodes = np.unique(interface.unknowns[of] // system.gdim)
+    nodes = np.unique(unknowns // system.gdim)
     # the unknowns of the ground come after the displacements
     nodes = nodes[nodes < sizes[number]]
     stiffness = system.subdomains[number].stiffness

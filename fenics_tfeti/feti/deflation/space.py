@@ -38,6 +38,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.feti.tolerances import WEAK, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -292,11 +293,7 @@ def _responses(
     total = combination.shape[1]
     responses, entries = list[Response](), [(np.zeros((0, 0)), np.zeros(0, dtype=np.int64))]
     interface = coarse_space.interface
-    operators = [
-        operator
-        for congruent, operator in zip(interface.classes, on_interface, strict=True)
-        for _ in congruent.members
-    ]
+    operators = of_subdomains(interface.classes, on_interface)
     for operator, begin, end in zip(
         operators, interface.ends[:-1], interface.ends[1:], strict=True
     ):

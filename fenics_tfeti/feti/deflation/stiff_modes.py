@@ -25,6 +25,7 @@ from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors, new_directions
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
 # the largest theta in the preconditioner: 30 to 100 take about as many products
@@ -103,12 +104,11 @@ def deflated_vectors(
     constraints: Constraints, interface: Interface, modes: Sequence[StiffModes | None]
 ) -> LocalVectors:
     """Return B D^{-1} f on the equality rows, f of the dilatations of all subdomains."""
-    blocks = [sp.csr_matrix((0, 0))]
-    for congruent, unknowns, stiff in zip(
-        interface.classes, interface.unknowns, modes, strict=True
-    ):
-        column = np.zeros((unknowns.size, 0)) if stiff is None else stiff.deflated[:, None]
-        blocks += [sp.csr_matrix(column)] * congruent.members.size
+    columns = [
+        sp.csr_matrix((unknowns.size, 0)) if stiff is None else sp.csr_matrix(stiff.deflated).T
+        for unknowns, stiff in zip(interface.unknowns, modes, strict=True)
+    ]
+    blocks = [sp.csr_matrix((0, 0)), *of_subdomains(interface.classes, columns)]
     equality = np.flatnonzero(constraints.equality)
     C = (interface.matrix[equality] @ sp.block_diag(blocks, format="csr")).tocsc()
     numbers = constraints.layout.numbers[equality]

@@ -26,6 +26,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Operator, Vector
@@ -62,12 +63,11 @@ class DeluxeScaling:
             np.zeros((unknowns.size, 0)) if stiff is None else _columns(stiff, unit)
             for stiff, unknowns in zip(modes, interface.unknowns, strict=True)
         ]
-        members = [congruent.members.size for congruent in interface.classes]
-        count = sum(n * v.shape[1] for n, v in zip(members, V, strict=True))
+        blocks = of_subdomains(interface.classes, [sp.csr_matrix(v) for v in V])
+        count = sum(block.shape[1] for block in blocks)
         first, total = first_of_rank(constraints.layout.comm, count)
         if not 0 < total <= _MOST:
             return None
-        blocks = [sp.csr_matrix(v) for n, v in zip(members, V, strict=True) for _ in range(n)]
         whole = sp.block_diag([sp.csr_matrix((0, 0)), *blocks], format="csr")
         entries = (interface.matrix @ whole).tocoo()
         # columns of C are of length 1 at most

@@ -26,6 +26,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
+from fenics_tfeti.feti.local.congruence import of_subdomains
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -65,11 +66,7 @@ class DirectFaces:
         The time for a factor of all subdomains grows with the 4/3rd power of their number beside
         that of a step, as measured.
         """
-        own = [
-            K
-            for K, congruent in zip(stiffness, F.interface.classes, strict=True)
-            for _ in congruent.members
-        ]
+        own = of_subdomains(F.interface.classes, stiffness)
         counts = np.array([len(own), sum(K.shape[0] for K in own)])
         F.constraints.layout.comm.Allreduce(MPI.IN_PLACE, counts)
         number, unknowns = counts.tolist()
@@ -110,8 +107,7 @@ class DirectFaces:
     def _joined(self) -> _Joined:
         """K and B, gathered. Collective."""
         F, comm = self.F, self.F.constraints.layout.comm
-        classes = zip(F.interface.unknowns, F.interface.classes, strict=True)
-        unknowns = [local for local, congruent in classes for _ in congruent.members]
+        unknowns = of_subdomains(F.interface.classes, F.interface.unknowns)
         sizes = [K.shape[0] for K in self.stiffness]
         first, number = first_of_rank(comm, sum(sizes))
         starts = first + np.cumsum([0, *sizes])[:-1]

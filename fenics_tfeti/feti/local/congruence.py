@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,6 +21,8 @@ from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.tolerances import ENERGY, GIVEN, rounding
 from fenics_tfeti.typing import Numbers, Vector
+
+T = TypeVar("T")
 
 # digits of the fingerprint by which candidates are found; the comparison decides
 _DIGITS = 8
@@ -150,6 +153,13 @@ def is_rounding(change: sp.csr_matrix, stiffness: sp.csr_matrix, coordinates: Ve
     # a soft elastic support changes no entry by more, but the energies of rigid motions
     R = rigid_body_modes(coordinates)
     return bool(np.abs(R.T @ (change @ R)).max(initial=0.0) <= rounding(largest, ENERGY))
+
+
+def of_subdomains(classes: Sequence[CongruenceClass], values: Sequence[T]) -> list[T]:
+    """Return for each subdomain, class by class, the value of its class."""
+    return [
+        value for congruent, value in zip(classes, values, strict=True) for _ in congruent.members
+    ]
 
 
 def apply_by_class(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.local.fixing_nodes import unknowns_of_nodes
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -62,8 +63,7 @@ class Frames:
         gdim = self.turns.shape[1]
         turned = unknowns < gdim * self.nodes
         nodes = np.unique(unknowns[turned] // gdim)
-        nodal = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-        return np.concatenate([nodal, unknowns[~turned]])
+        return np.concatenate([unknowns_of_nodes(nodes, gdim), unknowns[~turned]])
 
     def matrix(self, unknowns: Numbers) -> sp.csr_matrix:
         """Return the block diagonal matrix of T on these unknowns, of whole nodes, of each."""

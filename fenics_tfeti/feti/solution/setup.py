@@ -39,7 +39,11 @@ from fenics_tfeti.feti.dual.preconditioner import (
     lumped_excess,
 )
 from fenics_tfeti.feti.factors.cholesky import choose_package
-from fenics_tfeti.feti.local.congruence import CongruenceClass, find_congruence_classes
+from fenics_tfeti.feti.local.congruence import (
+    CongruenceClass,
+    find_congruence_classes,
+    of_subdomains,
+)
 from fenics_tfeti.feti.local.elastic_supports import set_free
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup, find_symmetries
@@ -168,8 +172,7 @@ class DualSetup:
             coarse_space.constraints, coarse_space.interface, inverses, options.dual_operator
         )
         constraints = coarse_space.constraints
-        members = [congruent.members.size for congruent in local.classes]
-        negative = sum(k * i.negative for k, i in zip(members, inverses, strict=True))
+        negative = sum(of_subdomains(local.classes, [i.negative for i in inverses]))
         of_all = system.comm.allreduce(negative)
         trials = _trial_displacements(system, options, local, F)
         choice, reactions = _chosen_reactions(system, options, local, F, trials, package, negative)
@@ -307,14 +310,7 @@ class DualSetup:
             numbers=self.constraints.layout.numbers,
             unit=local.unit,
             limits=factor * limits,
-            negative=np.array(
-                [
-                    inverse.negative
-                    for inverse, congruent in zip(self.F.inverses, local.classes, strict=True)
-                    for _ in congruent.members
-                ],
-                dtype=np.int64,
-            ),
+            negative=of_subdomains(local.classes, [i.negative for i in self.F.inverses]),
         )
         return at_most(system.comm, vectors)
 
