@@ -69,10 +69,13 @@ def test_dependent_rows_leave_a_set(seed):
         assert (y @ gap[stays]).any()
 
 
-def test_dependent_rows_that_close_together_stay():
+@pytest.mark.parametrize(("difference", "stay"), [(0.0, 3), (1e-11, 2)])
+def test_dependent_rows_that_close_together_stay(difference, stay):
+    """Differences that are small beside the motion to the closed rows count: a body moves far."""
     normals = np.array([[0.0, 1.0], [0.6, 0.8], [-0.6, 0.8]])
-    gap = normals @ [0.3, -0.2]
-    assert remaining(normals, np.ones(3, dtype=bool), np.ones(3), gap)[0].all()
+    gap = normals @ [0.3, -0.2] - [difference, 0.0, 0.0]
+    stays = remaining(normals, np.ones(3, dtype=bool), np.ones(3), gap)[0]
+    assert np.count_nonzero(stays) == stay
 
 
 @pytest.mark.parametrize(("radius", "slips"), [(0.4, True), (10.0, False)])
