@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
@@ -17,36 +14,27 @@ from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
-from fenics_tfeti.fem.contact.mortar.cells import (
-    Cells,
-    MasterTree,
-    inside,
-    nearest_layers,
-    overlapping_cells,
-)
-from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
-from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
+from fenics_tfeti.fem.contact.search.opposite import OppositeFacets
+from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.topology import batches, cell_facets, distinct_rows, exterior_cell_facets
+from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import (
     Directory,
-    all_to_all,
     concatenate_ranks,
     first_of_rank,
     raise_collectively,
     send_rows,
 )
-from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers
 
 # angle by which facets that touch face to face may be inclined before [rad]
 _INCLINED = 0.1
+# how far the nearest bodies are looked for where there are no contacts, in longest edges
+_FAR = 10.0
 
 
 def find_contacts(
@@ -110,7 +98,7 @@ def find_contacts(
     bodies = find_bodies(mesh, cell_tags)
     check_cells(mesh, bodies)
     facets = ExteriorFacets.of(mesh, bodies)
-    opposite = _opposite_facets(comm, facets, distance)
+    opposite = OppositeFacets.find(comm, facets, distance)
     opposite = opposite.chosen(_is_apart(comm, opposite, bodies))
     if distance is None and not whole_faces:
         opposite = opposite.chosen(_may_touch(comm, opposite, bodies))
@@ -136,85 +124,6 @@ def find_contacts(
             )
         )
     return contacts
-
-
-@dataclass(frozen=True)
-class OppositeFacets:
-    """Facets of this rank, each with one opposite to it of another body."""
-
-    rows: Numbers  # (p, 4): bodies of both, the facet, and the number of the other over all ranks
-    ratio: Vector  # (p,): size of the other over that of the facet, by their areas
-    gap: Vector  # (p,): distance along the facet's normal [m]
-    reach: Vector  # (p,): largest gap that is looked for [m]
-    cosine: Vector  # (p,): of the angle by which they are inclined to each other
-
-    def chosen(self, kept: Mask) -> OppositeFacets:
-        """Return some of the pairs."""
-        return OppositeFacets(*(column[kept] for column in vars(self).values()))
-
-    def nearest(self, comm: MPI.Intracomm) -> tuple[float, list[int]]:
-        """Return the smallest gap of all ranks, and its bodies; infinite without. Collective."""
-        bodies = np.sort(self.rows[:, :2], axis=1)
-        pairs = zip(self.gap.tolist(), bodies.tolist(), strict=True)
-        nearest: tuple[float, list[int]] = min(comm.allgather(min(pairs, default=(np.inf, []))))
-        return nearest
-
-
-def _opposite_facets(
-    comm: MPI.Intracomm, facets: ExteriorFacets, distance: float | None
-) -> OppositeFacets:
-    """Find the facets opposite to those of this rank. Collective."""
-    x, n = facets.corners, facets.number.size
-    v, gdim = x.shape[1:]
-    reach = edge_lengths(x).min(axis=1) if distance is None else np.full(n, float(distance))
-    chosen = [np.arange(n)]
-    if comm.size > 1:
-        around = np.stack([x.min(axis=1) - reach[:, None], x.max(axis=1) + reach[:, None]], axis=1)
-        needed = comm.allgather(BoxTree(around).boxes())
-        chosen = facets_in_boxes(comm, needed, BoxTree(x))
-    number = first_of_rank(comm, n)[0] + np.arange(n)
-    columns = (number, facets.body, facets.vertices, x)
-    received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
-    number, body, vertices, corners = (np.concatenate(c) for c in zip(*received, strict=True))
-    nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
-    points = corners.reshape(-1, gdim)[first]
-    others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
-    parts, measures = [np.zeros((0, 4), dtype=np.int64)], [np.zeros((0, 4))]
-    if n:
-        areas = Planes.of(corners).area
-        surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
-        planes, tree = Planes.of(x), MasterTree(others.facets)
-        for block in batches(n, 2048):
-            rows = np.arange(block.start, block.stop)
-            cells = overlapping_cells(surface, planes, rows, tree, reach)
-            cells = cells.select_pairs(body[cells.master] != facets.body[cells.slave])
-            cells = cells.select_pairs(_is_near(cells, planes, others, body, reach))
-            cells = nearest_layers(cells, planes, tree)
-            bodies = (facets.body[cells.slave], body[cells.master])
-            parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
-            ratio = (areas[cells.master] / planes.area[cells.slave]) ** (1.0 / (gdim - 1))
-            gap, normals = np.abs(cells.centre()[1]), (planes.normal, tree.planes.normal)
-            cosine = -np.sum(normals[0][cells.slave] * normals[1][cells.master], axis=1)
-            measures.append(np.column_stack([ratio, gap, reach[cells.slave], cosine]))
-    return OppositeFacets(np.concatenate(parts), *np.concatenate(measures).T)
-
-
-def _is_near(
-    cells: Cells, planes: Planes, others: SurfaceFacets, body: Numbers, reach: Vector
-) -> Mask:
-    """Tell which pairs (p,) of facets are within reach and overlap by more than rounding.
-
-    A facet behind one is near only if its body penetrates there.
-    """
-    middle, gap = cells.centre()
-    near: Mask = cells.pair_area() > SAME_PLACE * planes.area[cells.slave]
-    near &= np.abs(gap) <= reach[cells.slave]
-    behind = np.flatnonzero(near & (gap < -RELATIVE_ROUNDING * planes.diameter[cells.slave]))
-    facet, master = cells.slave[behind], body[cells.master[behind]]
-    in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
-    points = planes.origin[facet] + in_plane
-    near[behind] = inside(points, master, others.facets, body)
-    return near
 
 
 def _is_apart(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> Mask:
@@ -271,26 +180,25 @@ def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) ->
 
 
 def _warn_of_gaps(comm: MPI.Intracomm, facets: ExteriorFacets, bodies: Bodies) -> None:
-    """Warn that no bodies are near each other, and say how far apart the nearest are. Collective.
-
-    Searched is the whole mesh.
-    """
-    x = concatenate_ranks(comm, facets.corners.reshape(-1, facets.corners.shape[2]))
-    found = _opposite_facets(comm, facets, float(np.linalg.norm(np.ptp(x, axis=0))))
+    """Warn that there are no contacts, and say how far apart the nearest bodies are. Collective."""
+    longest = float(edge_lengths(facets.corners).max(initial=0.0))
+    reach = _FAR * float(comm.allreduce(longest, MPI.MAX))
+    found = OppositeFacets.find(comm, facets, reach)
     first, second = bodies.part[found.rows[:, :2]].T
     gap, pair = found.chosen(first != second).nearest(comm)
+    if pair:
+        names = " and ".join(bodies.names[body] for body in pair)
+        advice = (
+            f"The smallest gap is {gap:.3g}, between {names}: where it may close, pass "
+            f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * gap:.3g})"
+        )
+    else:
+        advice = f"Up to a gap of {reach:.3g} no facet is opposite to one of another body"
     with raise_collectively(comm):
         if comm.rank == 0:
-            names = " and ".join(bodies.names[body] for body in pair)
             warn_user(
                 f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
-                "no contact between them. "
-                + (
-                    f"The smallest gap is {gap:.3g}, between {names}: where it may close, pass "
-                    f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * gap:.3g})"
-                    if pair
-                    else "No facet is opposite to one of another body"
-                )
+                f"no contact between them. {advice}"
             )
 
 
@@ -418,66 +326,3 @@ def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
     order = np.argsort(number, kind="stable")
     cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
     return np.split(rows[order, -1], cuts) if len(pairs) else []
-
-
-@dataclass(frozen=True)
-class ExteriorFacets:
-    """The facets (f,) on the boundary of the mesh that this rank owns, with straight edges."""
-
-    number: Indices  # local numbers of the facets
-    body: Numbers
-    vertices: Numbers  # (f, v): numbers in the input of the mesh, oriented outwards as in `Facets`
-    corners: Vector  # (f, v, gdim) [m]
-
-    @staticmethod
-    def of(domain: Mesh, bodies: Bodies) -> ExteriorFacets:
-        """Find the facets of this rank's cells that have no neighbour."""
-        cell, facet = np.nonzero(exterior_cell_facets(domain))
-        nodes = oriented_corners(domain, cell, facet)
-        # the numbers in the input are those of all ranks, see `_surface_nodes`
-        input_numbers = np.asarray(domain.geometry.input_global_indices, dtype=np.int64)
-        return ExteriorFacets(
-            cell_facets(domain)[cell, facet],
-            bodies.of_cell[cell],
-            input_numbers[nodes],
-            domain.geometry.x[nodes, : domain.geometry.dim],
-        )
-
-    def faces(self, comm: MPI.Intracomm) -> Numbers:
-        """Return the number, over all ranks, of the smooth face that each facet is in. Collective.
-
-        A face ends where normals of neighbours turn by more than 60 degrees.
-        """
-        v, gdim = self.corners.shape[1:]
-        ends = self.vertices[..., None]
-        if gdim == 3:
-            ends = np.sort(np.stack([self.vertices, np.roll(self.vertices, -1, axis=1)], 2), axis=2)
-        edges = ends.reshape(self.number.size * v, gdim - 1)
-        facet = np.repeat(np.arange(self.number.size), v)
-        keys = np.column_stack([self.body[facet], edges])
-        normal = Planes.of(self.corners).normal[facet]
-        part = _components(_smooth_pairs(keys, normal, facet), self.number.size)
-        # parts of faces on this rank, numbered over all ranks, then joined through their edges
-        first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
-        directory = Directory(comm, np.unique(edges[:, 0]))
-        _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
-        joined = distinct_rows(_smooth_pairs(*columns))[0]
-        face: Numbers = _components(concatenate_ranks(comm, joined), total)[first + part]
-        return face
-
-
-def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
-    """Return pairs (p, 2) of different labels of facets that meet smoothly at edges (n, k)."""
-    least_cosine = 0.5
-    order = np.lexsort(keys.T)
-    keys, normal, label = keys[order], normal[order], label[order]
-    smooth = np.sum(normal[1:] * normal[:-1], axis=1) > least_cosine
-    meet = (keys[1:] == keys[:-1]).all(axis=1) & smooth & (label[1:] != label[:-1])
-    return np.column_stack([label[:-1][meet], label[1:][meet]])
-
-
-def _components(pairs: Numbers, size: int) -> Numbers:
-    """Return the connected component of each of `size` labels."""
-    graph = sp.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
-    number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
-    return number
