@@ -19,6 +19,7 @@ from fenics_tfeti import (
     ContactProblem,
     Coulomb,
     Exact,
+    FacetedObstacle,
     InputError,
     Plane,
     RigidBody,
@@ -286,6 +287,24 @@ def test_turned_body_with_exact_geometry():
     # the moment of the normal forces about the hinge is that of the load
     assert result.moment[0] == pytest.approx(1e-3 * YOUNG, rel=1e-5)
     assert joint.active.any()
+
+
+@pytest.mark.parametrize("geometry", [None, Exact(1e-8)])
+def test_surface_of_facets(geometry):
+    """A body with the surface of a mesh moves and turns as one with the same plane."""
+    motions, pressures = [], []
+    facets = FacetedObstacle([(-1.0, 1.0), (0.3, 1.0), (2.0, 1.0)], [(0, 1), (1, 2)])
+    for shape in (Plane((0.0, 1.0), (0.0, -1.0)), facets):
+        scene = block(2)
+        scene.add_obstacle(LOADED, shape, body=punch(2), name="joint")
+        problem = scene.problem(options={"rtol": 1e-10}, geometry=geometry)
+        problem.solve()
+        body = problem.rigid_bodies["punch"]
+        motions.append([*body.translation, *body.rotation])
+        pressures.append(problem.results["joint"].pressure)
+    assert abs(motions[0][2]) > 1e-4
+    assert motions[1] == pytest.approx(motions[0], rel=1e-7, abs=1e-12)
+    assert np.abs(np.subtract(*pressures)).max() <= 1e-6 * pressures[0].max()
 
 
 def test_page(tmp_path):
