@@ -81,12 +81,11 @@ bcs = [fem.dirichletbc(np.zeros(2), held, V)]
 #
 # The force in the belt is the pressure times the radius.
 
+drum = Sphere((0, 0), radius)
 ratios, curves = {}, {}
 for mu, style in ((0.1, "o"), (0.2, "s"), (0.3, "^")):
-    drum = RigidObstacle(
-        facet_tags, slave=DRUM, obstacle=Sphere((0, 0), radius), friction=Coulomb(mu), name="drum"
-    )
-    problem = ContactProblem(a, L, bcs=bcs, contacts=[drum], options={"subdomain_size": 60})
+    contact = RigidObstacle(facet_tags, DRUM, drum, friction=Coulomb(mu), name="drum")
+    problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options={"subdomain_size": 60})
     uh = problem.solve()
     report = problem.report
     ratios[mu] = np.linalg.norm(report.reactions[0].force) / force
@@ -120,4 +119,5 @@ draw_deformed(
     label="von Mises stress",
     unit="MPa",
     title="Belt pulled over a drum at its left end, mu = 0.3",
+    obstacles=[drum],
 )

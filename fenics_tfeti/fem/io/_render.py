@@ -24,6 +24,7 @@ Image = NDArray[np.uint8]
 
 INK = "#22262b"
 OUTLINE = "#8a9099"
+OBSTACLE = "#c3c8ce"
 DPI = 200
 
 
@@ -53,6 +54,16 @@ def sharp_edges(surface: pyvista.PolyData) -> pyvista.PolyData:
     if edges.n_points:
         edges.points = edges.point_data["place"]
     return edges
+
+
+def obstacle_shape(gaps: NDArray[np.float64], axes: NDArray[np.float64]) -> pyvista.DataSet:
+    """Return the part of a plane grid within an obstacle, or the obstacle's surface in space."""
+    x, y, z = axes.T
+    grid = pyvista.RectilinearGrid(x, y, z[:1] if gaps.shape[2] == 1 else z)
+    grid["gap"] = gaps.ravel(order="F")
+    if gaps.shape[2] == 1:
+        return grid.clip_scalar("gap", value=0.0)
+    return grid.contour([0.0], "gap")
 
 
 def render_mesh(data: Any, limits: tuple[float, float], pixels: tuple[int, int]) -> Image:
@@ -85,6 +96,14 @@ def render_mesh(data: Any, limits: tuple[float, float], pixels: tuple[int, int])
     if edges.n_points:
         plotter.add_mesh(edges, color=OUTLINE, line_width=2.5, lighting=False)
         plotter.add_mesh(deformed_edges, color=INK, line_width=3.5, lighting=False)
+    number = 0
+    while f"gaps {number}" in data:
+        shape = obstacle_shape(data[f"gaps {number}"], data[f"axes {number}"])
+        if shape.n_points:
+            plotter.add_mesh(
+                shape, color=OBSTACLE, opacity=0.5, lighting=False, show_scalar_bar=False
+            )
+        number += 1
     if np.ptp(data["points"][:, 2]) == 0:
         plotter.view_xy()
         plotter.enable_parallel_projection()

@@ -20,7 +20,8 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.io.scene import gather_scene
+from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
+from fenics_tfeti.fem.io.scene import Scene, gather_scene
 from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
@@ -42,6 +43,7 @@ def draw_deformed(
     units: UnitSystem = "SI",
     title: str = "",
     scale: float | None = None,
+    obstacles: Sequence[Obstacle] = (),
     camera: Sequence[float] = (-0.6, -1.0, 0.55),
     colour_map: str = "YlOrRd",
     size: tuple[int, int] = (1600, 1000),
@@ -73,6 +75,9 @@ def draw_deformed(
         Magnification of the displacements, which is written in the picture. By default 1, 2 or 5
         times a power of ten, such that the largest displacement is drawn no larger than a tenth of
         the mesh.
+    obstacles : sequence of callables
+        Rigid obstacles as those of `RigidObstacle`, drawn in grey where they are, as far as the
+        bodies reach.
     camera : sequence of 3 floats
         Direction from the mesh to the viewer; the z axis points up. In two dimensions the view
         is along the z axis.
@@ -126,7 +131,24 @@ def draw_deformed(
                 "colour_map": colour_map,
                 "size": np.asarray(size),
             }
+            for number, obstacle in enumerate(obstacles):
+                data |= _sampled(obstacle, number, scene, scale)
             _render(path, data)
+
+
+def _sampled(obstacle: Obstacle, number: int, scene: Scene, scale: float) -> dict[str, Vector]:
+    """Return the gaps to an obstacle on a grid around the bodies, and the grid's axes."""
+    points = np.concatenate([scene.points, scene.points + scale * scene.displacement])
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.05 * np.max(high - low)
+    axes = np.linspace(low - margin, high + margin, 400 if scene.flat else 60)
+    x, y, z = axes.T
+    grid = np.stack(np.meshgrid(x, y, [0.0] if scene.flat else z, indexing="ij"))
+    found = obstacle(grid.reshape(3, -1))
+    gap = np.asarray(found[0] if isinstance(found, tuple) else found, dtype=float)
+    # no obstacle is no gap that ends
+    gap = np.where(np.isfinite(gap), gap, np.max(gap, initial=0.0, where=np.isfinite(gap)))
+    return {f"gaps {number}": gap.reshape(grid.shape[1:]), f"axes {number}": axes}
 
 
 def _range(field: Function) -> Vector:

@@ -12,6 +12,7 @@ import pytest
 
 from dolfinx import fem
 
+from fenics_tfeti import Plane
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io import pictures
@@ -52,6 +53,23 @@ def test_picture_has_the_size_asked_for(cell, tmp_path):
     path = tmp_path / "new folder" / "beams.png"
     draw_deformed(path, u, stress, unit="MPa", title="Two boxes", size=(480, 300))
     assert size_of(path) == (480, 300)
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_obstacle_is_drawn_where_it_is(cell, tmp_path):
+    """A floor makes the picture another one, an obstacle that is nowhere near does not."""
+    u, _, stress = fields(cell)
+    normal = np.eye(GDIM[cell])[-1]
+    pictures_of = {
+        "none": [],
+        "floor": [Plane((0, 0, 0), normal)],
+        "far": [Plane(-5 * normal, normal), lambda x: np.full(x.shape[1], np.inf)],
+    }
+    for name, obstacles in pictures_of.items():
+        draw_deformed(tmp_path / f"{name}.png", u, stress, obstacles=obstacles, size=(480, 300))
+    drawn = {name: (tmp_path / f"{name}.png").read_bytes() for name in pictures_of}
+    assert drawn["far"] == drawn["none"]
+    assert drawn["floor"] != drawn["none"]
 
 
 def test_colour_bar_has_the_range_of_the_whole_field(tmp_path, monkeypatch):
