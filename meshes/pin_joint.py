@@ -80,8 +80,6 @@ def pin_joint(output: Path, element_size: float = 1.5, order: Literal[1, 2] = 1)
         gmsh.option.setNumber("Mesh.MeshSizeMax", element_size)
         gmsh.model.mesh.generate(3)
         gmsh.model.mesh.setOrder(order)
-        if order > 1:
-            gmsh.model.mesh.optimize("HighOrderElastic")
 
 
 if __name__ == "__main__":
