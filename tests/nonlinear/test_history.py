@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from finite_strains import BASE, ENDS, TOP, cell_space
+from finite_strains import BASE, ENDS, TOP
+from scenes import Scene, at
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import NonlinearContactProblem, Plane, RigidObstacle, Sphere
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
-from fenics_tfeti.models import symmetry_plane
+from fenics_tfeti import NonlinearContactProblem, Plane, Sphere
+from fenics_tfeti.fem._compat import lagrange_space
 
 one_point = ufl.dx(metadata={"quadrature_degree": 0})
 SHEAR, BULK, YIELD, HARDENING = 0.4, 0.8, 0.02, 0.1
@@ -25,7 +23,7 @@ class Plastic:
     """J2 plasticity with linear hardening, plane strain, on triangles of constant strain."""
 
     def __init__(self, mesh):
-        self.space = cell_space(mesh)
+        self.space = lagrange_space(mesh, 0, discontinuous=True)
         self.test = ufl.TestFunction(self.space)
         self.volumes = fem.assemble_vector(fem.form(self.test * one_point)).array
         # the plastic strains xx, yy, xy, and the equivalent one
@@ -71,69 +69,59 @@ def strain(u):
     return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, 0]])
 
 
-@dataclass
-class Press:
-    """A block of 1 by 1 between planes of symmetry, and the tool above it."""
+def press(tool, n, with_tangent=True):
+    """Return a block of 1 by 1 between planes of symmetry, and a function that solves a step.
 
-    problem: NonlinearContactProblem
-    material: Plastic
-    load: dict
-
-    def step(self, depth):
-        """Solve and accept a step; return the force on the block."""
-        self.load["depth"] = depth
-        self.problem.solve()
-        self.problem.advance()
-        self.material.update(self.problem.u)
-        return self.problem.results[0].force[1]
-
-
-def press(tool, with_tangent=True):
-    """Make the block; the tool is a function of the depth."""
-    mesh = boxes(MPI.COMM_WORLD, [Box((0, 0), (1, 1), (6, 6))], "triangle").mesh
-    tags = tag_facets(
-        mesh,
-        {
-            ENDS: lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1),
-            TOP: lambda x: np.isclose(x[1], 1),
-            BASE: lambda x: np.isclose(x[1], 0),
-        },
-    )
-    V = displacement_space(mesh)
-    u, v, du = fem.Function(V), ufl.TestFunction(V), ufl.TrialFunction(V)
-    material, load = Plastic(mesh), {"depth": 0.0}
-    J = ufl.inner(material.tangent(u, du), strain(v)) * one_point
+    It has n x n squares. The tool is a function of the depth. A step accepts the solution and
+    returns the force.
+    """
+    marks = [(ENDS, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1))]
+    marks += [(TOP, at(1, 1)), (BASE, at(1, 0))]
+    bodies = Scene.of_boxes(MPI.COMM_WORLD, "triangle", [((0, 0), (1, 1), (n, n))], marks)
+    u, v, material, load = fem.Function(bodies.V), bodies.v, Plastic(bodies.mesh), {"depth": 0.0}
+    bodies.fix(ENDS, 0)
+    bodies.fix(BASE, 1)
+    bodies.add_obstacle(TOP, lambda x: tool(load["depth"])(x))
+    J = ufl.inner(material.tangent(u, bodies.u), strain(v)) * one_point
     problem = NonlinearContactProblem(
         ufl.inner(material.stress(u), strain(v)) * one_point,
         u,
         J=J if with_tangent else None,
-        bcs=[symmetry_plane(V, tags, ENDS, 0), symmetry_plane(V, tags, BASE, 1)],
-        contacts=[RigidObstacle(tags, TOP, lambda x: tool(load["depth"])(x))],
+        bcs=bodies.bcs,
+        contacts=bodies.contacts,
         options={"newton_rtol": 1e-9, "subdomain_size": 40},
     )
-    return Press(problem, material, load)
+
+    def step(depth):
+        load["depth"] = depth
+        problem.solve()
+        problem.advance()
+        material.update(u)
+        return problem.results[0].force[1]
+
+    return problem, material, step
 
 
 def test_confined_compression():
     """Loaded three times and unloaded: the closed form of uniaxial strain."""
-    block, flow = press(lambda depth: Plane((0, 1 - depth), (0, -1))), 0.0
+    (_, material, step), flow = press(lambda depth: Plane((0, 1 - depth), (0, -1)), 3), 0.0
     for e in [0.01, 0.05, 0.1, 0.09]:
-        force = block.step(e)
+        force = step(e)
         flow = max(flow, (2 * SHEAR * e - YIELD) / (3 * SHEAR + HARDENING))
         size = 2 * SHEAR * e - 3 * SHEAR * flow
         assert force == pytest.approx(-BULK * e - 2 / 3 * size, rel=1e-7)
-        np.testing.assert_allclose(block.material.history[3].x.array, flow, atol=1e-8)
+        np.testing.assert_allclose(material.history[3].x.array, flow, atol=1e-8)
 
 
 def test_indentation():
     """The consistent tangent is the derivative of the residual; a dent is left."""
     forces, steps = [], []
     for with_tangent in [False, True]:
-        block = press(lambda depth: Sphere((0.5, 1.5 - depth), 0.5), with_tangent)
+        problem, _, step = press(lambda depth: Sphere((0.5, 1.5 - depth), 0.5), 4, with_tangent)
         for depth in [0.08, 0.07]:
-            forces.append(block.step(depth))
-            steps.append(len(block.problem.report.newton))
-    block.step(0.0)
-    assert 0.03 < np.abs(block.problem.u.x.array).max() < 0.08
+            forces.append(step(depth))
+            steps.append(len(problem.report.newton))
+    step(0.0)
+    assert 0.03 < np.abs(problem.u.x.array).max() < 0.08
     np.testing.assert_allclose(forces[:2], forces[2:], atol=1e-7)
     assert steps[:2] == steps[2:]

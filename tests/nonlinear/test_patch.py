@@ -41,7 +41,7 @@ def test_free_edges_that_lie_on_each_other(size):
 
 CELLS = {
     ("quadrilateral", 2): ("slave",),
-    ("triangle", 1): ("master", "tied"),
+    ("triangle", 1): ("tied",),
     ("triangle", 2): ("tied",),
     ("tetrahedron", 1): ("slave",),
     ("tetrahedron", 2): (),
@@ -74,11 +74,11 @@ def test_cells_degrees_and_roles(cell, degree, upper):
 
 
 def test_turning_is_no_slip():
-    """Pressed blocks that stick are turned by 90 degrees, in steps of 30."""
+    """Pressed blocks that stick are turned by 60 degrees, in steps of 30."""
     scene, force = pressed_patch(
-        0.1, False, motion=90.0, friction=Coulomb(0.3), newton_rtol=1e-9, subdomain_size=60
+        0.1, False, motion=60.0, friction=Coulomb(0.3), newton_rtol=1e-9, subdomain_size=60
     )
-    scene.solve([1 / 3, 2 / 3, 1.0])
+    scene.solve([0.5, 1.0])
     result = scene.problem.results[0]
     np.testing.assert_allclose(result.force, force, atol=1e-7)
     assert result.friction.sticking.all()

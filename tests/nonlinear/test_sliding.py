@@ -10,15 +10,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+import scenes
 import scipy.integrate
-from finite_strains import SLIDER, TOP, beam, cell_space, clamped, ironing, ring
+from finite_strains import BASE, ENDS, SLIDER, TOP, Scene, beam, ironing, ring
+from scenes import at
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, Coulomb, NonlinearContactProblem, Plane, RigidObstacle
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
-from fenics_tfeti.models import neo_hookean, symmetry_plane
+from fenics_tfeti import Coulomb, Plane
+from fenics_tfeti.models import neo_hookean
 
 heavy = pytest.mark.heavy
 
@@ -98,131 +99,101 @@ def test_counts_of_the_ring():
 def test_edge_of_a_master_that_passes_nodes_of_the_slave():
     """A block dragged over a larger one: the roles of the surfaces hardly matter."""
     forces = []
-    for slave, master in ((3, 2), (2, 3)):
-        tagged = boxes(
-            MPI.COMM_WORLD,
-            [Box((0, 0), (2, 1), (8, 4)), Box((0.3, 1), (1.2, 1.6), (5, 3))],
-            "quadrilateral",
-        )
-        surfaces = [
-            (1, lambda x: np.isclose(x[1], 0), 1),
-            (2, lambda x: np.isclose(x[1], 1), 1),
-            (3, lambda x: np.isclose(x[1], 1), 2),
-            (4, lambda x: np.isclose(x[1], 1.6), 2),
-        ]
-        tags = tag_facets(tagged.mesh, surfaces, tagged.cell_tags)
-        V = displacement_space(tagged.mesh)
-        u, motion = fem.Function(V), fem.Function(V)
-        moved = fem.locate_dofs_topological(V, 1, tags.find(4))
-        problem = NonlinearContactProblem(
-            ufl.derivative(neo_hookean(1.0, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V)),
-            u,
-            bcs=[clamped(V, tags.find(1)), fem.dirichletbc(motion, moved)],
-            contacts=[ContactPair(tags, slave=slave, master=master)],
-        )
-        for way, depth in [(0.0, 0.06), *((0.05 * k, 0.12) for k in range(6))]:
-            motion.x.array.reshape(-1, 2)[:] = way, -depth
-            problem.solve()
-            problem.advance()
-            # a node that got and lost its condition in turn took all 30 steps
-            assert len(problem.report.newton) <= 10
-        forces.append(abs(problem.results[0].force[1]))
+    for slave in (SLIDER, TOP):
+        parts = [((0, 0), (2, 1), (8, 4)), ((0.3, 1), (1.2, 1.6), (5, 3))]
+        marks = [(BASE, at(1, 0), 1), (TOP, at(1, 1), 1), (SLIDER, at(1, 1), 2)]
+        marks += [(ENDS, at(1, 1.6), 2)]
+        bodies = scenes.Scene.of_boxes(MPI.COMM_WORLD, "quadrilateral", parts, marks)
+        u, motion = fem.Function(bodies.V), fem.Function(bodies.V)
+        bodies.fix(BASE)
+        bodies.fix(ENDS, None, motion)
+        bodies.add_pair(slave, TOP + SLIDER - slave)
+
+        def move(to, motion=motion):
+            motion.x.array.reshape(-1, 2)[:] = to
+
+        scene = Scene.of(bodies, u, neo_hookean(1.0, 0.3)(u) * ufl.dx, move)
+        for to in [(0.0, -0.06), (0.2, -0.12), (0.25, -0.12)]:
+            scene.solve([to])
+            # in the last one a node that got and lost its condition in turn took all 30 steps
+            assert scene.counts()[0] <= 10
+        forces.append(abs(scene.problem.results[0].force[1]))
     assert forces[0] == pytest.approx(forces[1], rel=0.02)
 
 
-class TestRingOfRoundSection:
-    """A rubber ring of radius 8 and a round section of radius 1, squeezed between two plates.
+def round_section(is_half):
+    """Return the force on the section of a rubber ring, or its upper half, between two plates.
 
-    While one node presses on each plate, the section rolls over them: only the hoop strain, the
-    elastic support of the meridian, resists, and less than the load drives it. The plane through
-    its middle is one of symmetry.
+    The ring has a radius of 8, its round section one of 1. While one node presses on each plate,
+    the section rolls over them: only the hoop strain, the elastic support of the meridian, resists,
+    and less than the load drives it. The plane through its middle is one of symmetry.
     """
+    low = 0 if is_half else -1
+    marks = [(TOP, lambda x: np.isclose(np.maximum(abs(x[0]), abs(x[1])), 1))]
+    marks += [(BASE, at(1, 0))] * is_half
 
-    @staticmethod
-    def force(is_half):
-        """Return the force of the upper plate on the section, or on its upper half."""
-        low = 0 if is_half else -1
-        section = Box((-1, low), (1, 1), (8, 4 * (1 - low)))
-        mesh = boxes(MPI.COMM_SELF, [section], "quadrilateral").mesh
-        markers = {1: lambda x: np.isclose(np.maximum(abs(x[0]), abs(x[1])), 1)}
-        if is_half:
-            markers[2] = lambda x: np.isclose(x[1], 0)
-        tags = tag_facets(mesh, markers)
-        x, y = mesh.geometry.x[:, :2].T
-        section = 8 + x * np.sqrt(1 - y**2 / 2), y * np.sqrt(1 - x**2 / 2)
-        mesh.geometry.x[:, :2] = np.transpose(section)
-        V = displacement_space(mesh)
-        u, r = fem.Function(V), ufl.SpatialCoordinate(mesh)[0]
-        F, hoop = ufl.Identity(2) + ufl.grad(u), 1 + u[0] / r
-        log = ufl.ln(ufl.det(F) * hoop)
-        energy = (0.5 * (ufl.inner(F, F) + hoop**2 - 3) - log + log**2) * r
-        squeeze = {"now": 0.0}
-        contacts = [
-            RigidObstacle(tags, 1, lambda x, s=s: Plane((0, s - s * squeeze["now"]), (0, -s))(x))
-            for s in (1, low)
-            if s
-        ]
-        problem = NonlinearContactProblem(
-            ufl.derivative(energy * ufl.dx, u, ufl.TestFunction(V)),
-            u,
-            bcs=symmetry_plane(V, tags, 2, axis=1) if is_half else None,
-            contacts=contacts,
-            measure_weight=r,
-        )
-        for _ in problem.steps(lambda t: squeeze.update(now=t), 0.0, 0.1, first=0.05):
-            pass
-        return problem.results[0].force[1]
+    def rounded(x):
+        return np.stack([8 + x[0] * np.sqrt(1 - x[1] ** 2 / 2), x[1] * np.sqrt(1 - x[0] ** 2 / 2)])
 
-    def test_force_is_that_of_the_half(self):
-        assert self.force(False) == pytest.approx(self.force(True), rel=1e-6)
+    section = (-1, low), (1, 1), (8, 4 * (1 - low))
+    bodies = scenes.Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", [section], marks, rounded)
+    u, r = fem.Function(bodies.V), ufl.SpatialCoordinate(bodies.mesh)[0]
+    F, hoop = ufl.Identity(2) + ufl.grad(u), 1 + u[0] / r
+    log = ufl.ln(ufl.det(F) * hoop)
+    energy = (0.5 * (ufl.inner(F, F) + hoop**2 - 3) - log + log**2) * r
+    squeeze = {"now": 0.0}
+    for side in (1, low)[: 2 - is_half]:
+        bodies.add_obstacle(TOP, lambda x, s=side: Plane((0, s - s * squeeze["now"]), (0, -s))(x))
+    if is_half:
+        bodies.fix(BASE, 1)
+    scene = Scene.of(bodies, u, energy * ufl.dx, lambda t: squeeze.update(now=t), measure_weight=r)
+    list(scene.problem.steps(scene.set_load, 0.0, 0.1, first=0.05))
+    return scene.problem.results[0].force[1]
+
+
+def test_force_of_a_ring_of_round_section_is_that_of_its_half():
+    assert round_section(False) == pytest.approx(round_section(True), rel=1e-6)
 
 
 def crown_between_plates(is_held):
     """Return the force of a lid on a body with a crown, and the Newton steps."""
     parts = [
-        Box((-1, 0), (1, 1), (8, 4)),
-        Box((-2, -0.5), (2, 0), (10, 1)),
-        Box((-2, 1.5), (2, 2), (10, 1)),
+        ((-1, 0), (1, 1), (8, 4)),
+        ((-2, -0.5), (2, 0), (10, 1)),
+        ((-2, 1.5), (2, 2), (10, 1)),
     ]
-    tagged = boxes(MPI.COMM_WORLD, parts, "quadrilateral")
-    mesh = tagged.mesh
-    surfaces = [
-        (1, lambda x: np.isclose(x[1], 0), 1),
-        (2, lambda x: np.isclose(x[1], 1), 1),
-        (3, lambda x: np.isclose(x[1], 0), 2),
-        (4, lambda x: np.isclose(x[1], 1.5), 3),
-        (5, lambda x: np.isclose(x[1], -0.5), 2),
-        (6, lambda x: np.isclose(x[1], 2), 3),
-    ]
-    tags = tag_facets(mesh, surfaces, tagged.cell_tags)
-    x, y = mesh.geometry.x[:, 0], mesh.geometry.x[:, 1]
-    mesh.geometry.x[:, 1] = np.where((y > 0) & (y < 1.1), y * (1.5 - 0.5 * x**2), y)
-    V = displacement_space(mesh)
-    u, motion = fem.Function(V), fem.Function(V)
-    E = fem.Function(cell_space(mesh))
-    E.x.array[:] = 300.0
-    E.x.array[tagged.cell_tags.find(1)] = 1.0
-    moved = fem.locate_dofs_topological(V, 1, tags.find(6))
-    bcs = [clamped(V, tags.find(5)), fem.dirichletbc(motion, moved)]
+    marks = [(1, at(1, 0), 1), (2, at(1, 1), 1), (3, at(1, 0), 2), (4, at(1, 1.5), 3)]
+    marks += [(5, at(1, -0.5), 2), (6, at(1, 2), 3)]
+
+    def crowned(x):
+        inside = (x[1] > 0) & (x[1] < 1.1)
+        return np.stack([x[0], np.where(inside, x[1] * (1.5 - 0.5 * x[0] ** 2), x[1])])
+
+    young = {1: 1.0, 2: 300.0, 3: 300.0}
+    bodies = scenes.Scene.of_boxes(
+        MPI.COMM_WORLD, "quadrilateral", parts, marks, crowned, young=young
+    )
+    V, motion = bodies.V, fem.Function(bodies.V)
+    u = fem.Function(V)
+    bodies.fix(5)
+    bodies.fix(6, None, motion)
+    bodies.add_pair(1, 3)
+    bodies.add_pair(2, 4)
     if is_held:
         middle = fem.locate_dofs_geometrical(
             (V.sub(0), V.sub(0).collapse()[0]),
             lambda x: np.isclose(x[0], 0) & (x[1] > 0.1) & (x[1] < 1.4),
         )[0]
-        bcs.append(fem.dirichletbc(0.0, middle, V.sub(0)))
-    problem = NonlinearContactProblem(
-        ufl.derivative(neo_hookean(E, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V)),
-        u,
-        bcs=bcs,
-        contacts=[ContactPair(tags, slave=1, master=3), ContactPair(tags, slave=2, master=4)],
-    )
-    steps = 0
-    for depth in (0.05, 0.2):
+        bodies.bcs.append(fem.dirichletbc(0.0, middle, V.sub(0)))
+
+    def press(depth):
         motion.x.array.reshape(-1, 2)[:, 1] = -depth
-        problem.solve()
-        problem.advance()
-        steps += len(problem.report.newton)
-    return problem.results[1].force[1], steps
+
+    scene, steps = Scene.of(bodies, u, neo_hookean(bodies.young, 0.3)(u) * ufl.dx, press), 0
+    for depth in (0.05, 0.2):
+        scene.solve([depth])
+        steps += scene.counts()[0]
+    return scene.problem.results[1].force[1], steps
 
 
 @pytest.mark.ranks

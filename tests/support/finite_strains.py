@@ -12,22 +12,15 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+import scenes
+from scenes import at
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import (
-    ContactPair,
-    NonlinearContactProblem,
-    Plane,
-    RigidObstacle,
-    Sphere,
-    TiedPair,
-)
-from fenics_tfeti.fem._compat import lagrange_space
-from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti import NonlinearContactProblem, Plane, Sphere, TiedPair
 from fenics_tfeti.models import neo_hookean
 
 BASE, TOP, SLIDER, ENDS = 1, 2, 3, 4
@@ -40,6 +33,28 @@ class Scene:
     problem: NonlinearContactProblem
     strain_energy: Any  # compiled form
     set_load: Callable[[float], None]  # a part of the load, 0 to 1
+
+    @classmethod
+    def of(
+        cls,
+        bodies: scenes.Scene,
+        u: Any,
+        energy: Any,
+        set_load: Callable[[float], None],
+        work: Any = 0,
+        measure_weight: Any = None,
+        **options: Any,
+    ) -> Scene:
+        """Pose the equilibrium of an energy and the work of dead loads."""
+        problem = NonlinearContactProblem(
+            ufl.derivative(energy - work, u, bodies.v),
+            u,
+            bcs=bodies.bcs,
+            contacts=bodies.contacts,
+            measure_weight=measure_weight,
+            options=options,
+        )
+        return cls(problem, fem.form(energy), set_load)
 
     @property
     def energy(self) -> float:
@@ -60,10 +75,8 @@ class Scene:
         return len(steps), float(np.mean([step.products for step in steps]))
 
 
-def clamped(V: Any, facets: Any) -> Any:
-    """Return the condition that nothing moves at facets."""
-    dofs = fem.locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
-    return fem.dirichletbc(np.zeros(V.mesh.geometry.dim), dofs, V)
+def solid(dim: int) -> str:
+    return {2: "quadrilateral", 3: "hexahedron"}[dim]
 
 
 def indented_block(
@@ -84,60 +97,36 @@ def indented_block(
     In two dimensions the ball is a cylinder. Another obstacle may take its place, and another
     energy that of the neo-Hookean material. Everything is turned by the angle `turned`.
     """
-    low, high = (-1.0,) * (dim - 1) + (0.0,), (1.0,) * dim
-    cells = (2 * n,) * (dim - 1) + (n,)
-    cell = cell or {2: "quadrilateral", 3: "hexahedron"}[dim]
-    mesh = boxes(comm, [Box(low, high, cells)], cell).mesh
-    tags = tag_facets(
-        mesh, {BASE: lambda x: np.isclose(x[dim - 1], 0), TOP: lambda x: np.isclose(x[dim - 1], 1)}
-    )
-    up = turn(mesh, turned)[:, -1]
-    V = displacement_space(mesh, degree)
-    u = fem.Function(V)
-    W = energy(u) if energy else neo_hookean(1.0, nu)(u) * ufl.dx
-    load = {"depth": 0.0}
+    block = (-1.0,) * (dim - 1) + (0.0,), (1.0,) * dim, (2 * n,) * (dim - 1) + (n,)
+    marks = [(BASE, at(dim - 1, 0.0)), (TOP, at(dim - 1, 1.0))]
+    bodies = scenes.Scene.of_boxes(comm, cell or solid(dim), [block], marks, degree=degree)
+    up = turn(bodies.mesh, turned)[:, -1]
+    u, load = fem.Function(bodies.V), {"depth": 0.0}
 
     def ball(x: Any) -> Any:
         return Sphere((1.5 - load["depth"]) * up, 0.5)(x)
 
-    problem = NonlinearContactProblem(
-        ufl.derivative(W, u, ufl.TestFunction(V)),
-        u,
-        bcs=[clamped(V, tags.find(BASE))],
-        contacts=[RigidObstacle(tags, TOP, obstacle or ball)],
-        options=options,
-    )
-    return Scene(problem, fem.form(W), lambda part: load.update(depth=part * depth))
+    bodies.fix(BASE)
+    bodies.add_obstacle(TOP, obstacle or ball)
+    W = energy(u) if energy else neo_hookean(1.0, nu)(u) * ufl.dx
+    return Scene.of(bodies, u, W, lambda part: load.update(depth=part * depth), **options)
 
 
 def beam(comm: MPI.Intracomm = MPI.COMM_WORLD, **options: Any) -> Scene:
     """Make a beam, clamped at one end, that a dead load at the other bends over a cylinder."""
     length, height = 10.0, 0.5
-    mesh = boxes(comm, [Box((0, 0), (length, height), (60, 3))], "quadrilateral").mesh
-    tags = tag_facets(
-        mesh,
-        {
-            BASE: lambda x: np.isclose(x[0], 0),
-            ENDS: lambda x: np.isclose(x[0], length),
-            TOP: lambda x: np.isclose(x[1], 0),
-        },
-    )
-    V = displacement_space(mesh)
-    u, traction = fem.Function(V), fem.Constant(mesh, np.zeros(2))
-    W = neo_hookean(1.0, 0.3)(u) * ufl.dx
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
-    problem = NonlinearContactProblem(
-        ufl.derivative(W - ufl.inner(traction, u) * ds(ENDS), u, ufl.TestFunction(V)),
-        u,
-        bcs=[clamped(V, tags.find(BASE))],
-        contacts=[RigidObstacle(tags, TOP, Sphere((6.0, -4.0), 2.0))],
-        options=options,
-    )
+    marks = [(BASE, at(0, 0.0)), (ENDS, at(0, length)), (TOP, at(1, 0.0))]
+    block = (0, 0), (length, height), (60, 3)
+    bodies = scenes.Scene.of_boxes(comm, "quadrilateral", [block], marks)
+    u, traction = fem.Function(bodies.V), bodies.constant(np.zeros(2))
 
     def set_load(part: float) -> None:
         traction.value[1] = -part * 1.5e-3 / height
 
-    return Scene(problem, fem.form(W), set_load)
+    bodies.fix(BASE)
+    bodies.add_obstacle(TOP, Sphere((6.0, -4.0), 2.0))
+    W, work = neo_hookean(1.0, 0.3)(u) * ufl.dx, ufl.inner(traction, u) * bodies.ds(ENDS)
+    return Scene.of(bodies, u, W, set_load, work, **options)
 
 
 def ring(
@@ -149,36 +138,33 @@ def ring(
     **options: Any,
 ) -> Scene:
     """Make half a ring of mean radius 1 that two rigid plates squeeze by 1."""
-    mesh = boxes(comm, [Box((0, 0), (1, 1), (n, across))], "quadrilateral").mesh
-    outside = {BASE: lambda x: x[0] < 0.5 + 1e-9, TOP: lambda x: x[0] > 0.5 - 1e-9}
-    tags = tag_facets(
-        mesh,
-        {tag: lambda x, half=half: np.isclose(x[1], 1) & half(x) for tag, half in outside.items()}
-        | {ENDS: lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)},
+    outside = at(1, 1.0)
+    marks = [
+        (BASE, lambda x: outside(x) & (x[0] < 0.5 + 1e-9)),
+        (TOP, lambda x: outside(x) & (x[0] > 0.5 - 1e-9)),
+        (ENDS, lambda x: np.isclose(x[0], 0) | np.isclose(x[0], 1)),
+    ]
+
+    def bent(x: Any) -> Any:
+        angle, radius = np.pi * (x[0] - 0.5), 1.0 + thickness * (x[1] - 0.5)
+        return np.stack([radius * np.cos(angle), radius * np.sin(angle)])
+
+    bodies = scenes.Scene.of_boxes(
+        comm, "quadrilateral", [((0, 0), (1, 1), (n, across))], marks, bent, degree=degree
     )
-    x = mesh.geometry.x
-    angle, radius = np.pi * (x[:, 0] - 0.5), 1.0 + thickness * (x[:, 1] - 0.5)
-    x[:, 0], x[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
-    V = displacement_space(mesh, degree)
-    u, load = fem.Function(V), {"height": 1.0 + 0.5 * thickness}
-    W = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
-    ends = fem.locate_dofs_topological(V.sub(0), 1, tags.find(ENDS))
+    u, load = fem.Function(bodies.V), {"height": 1.0 + 0.5 * thickness}
 
     def plate(side: float) -> Any:
         return lambda x: Plane((0.0, side * load["height"]), (0.0, -side))(x)
 
-    problem = NonlinearContactProblem(
-        ufl.derivative(W, u, ufl.TestFunction(V)),
-        u,
-        bcs=[fem.dirichletbc(0.0, ends, V.sub(0))],
-        contacts=[RigidObstacle(tags, BASE, plate(-1.0)), RigidObstacle(tags, TOP, plate(1.0))],
-        options=options,
-    )
-
     def set_load(part: float) -> None:
         load["height"] = 1.0 + 0.5 * thickness - 0.5 * part
 
-    return Scene(problem, fem.form(W), set_load)
+    bodies.fix(ENDS, 0)
+    bodies.add_obstacle(BASE, plate(-1.0))
+    bodies.add_obstacle(TOP, plate(1.0))
+    W = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2 * degree})
+    return Scene.of(bodies, u, W, set_load, **options)
 
 
 def ironing(
@@ -195,49 +181,32 @@ def ironing(
     A load of 1 presses it down by the depth, each further one drags it by 1.5, its outer radius
     being 0.6. Its stiffness is relative to that of the block.
     """
-    bodies = [Box((0, 0), (4, 1), (4 * n, n)), Box((10, 0), (11, 1), (2 * n, n // 3))]
-    tagged = boxes(comm, bodies, "quadrilateral")
-    mesh = tagged.mesh
-    surfaces = [
-        (BASE, lambda x: np.isclose(x[1], 0), 1),
-        (TOP, lambda x: np.isclose(x[1], 1), 1),
-        (SLIDER, lambda x: np.isclose(x[1], 1), 2),
+    parts = [((0, 0), (4, 1), (4 * n, n)), ((10, 0), (11, 1), (2 * n, n // 3))]
+    marks = [
+        (BASE, at(1, 0.0), 1),
+        (TOP, at(1, 1.0), 1),
+        (SLIDER, at(1, 1.0), 2),
         (ENDS, lambda x: np.isclose(x[0], 10) | np.isclose(x[0], 11), 2),
     ]
-    tags = tag_facets(mesh, surfaces, tagged.cell_tags)
-    _bend(mesh.geometry.x)
-    V = displacement_space(mesh)
-    u, motion, E = fem.Function(V), fem.Function(V), fem.Function(cell_space(mesh))
-    E.x.array[:] = 1.0
-    E.x.array[tagged.cell_tags.find(2)] = stiffness
-    W = neo_hookean(E, 0.3)(u) * ufl.dx
-    ends = fem.locate_dofs_topological(V, 1, tags.find(ENDS))
-    master = TOP if slave == SLIDER else SLIDER
-    problem = NonlinearContactProblem(
-        ufl.derivative(W, u, ufl.TestFunction(V)),
-        u,
-        bcs=[clamped(V, tags.find(BASE)), fem.dirichletbc(motion, ends)],
-        contacts=[ContactPair(tags, slave=slave, master=master, friction=friction)],
-        options=options,
-    )
+
+    def bent(x: Any) -> Any:
+        # the second box to the half annulus of the radii 0.3 and 0.6 around (0.9, 1.6)
+        angle, radius = np.pi * (x[0] - 9.0), 0.3 + 0.3 * x[1]
+        die = np.stack([0.9 + radius * np.cos(angle), 1.6 + radius * np.sin(angle)])
+        return np.where(x[0] > 9.0, die, x)
+
+    young = {1: 1.0, 2: stiffness}
+    bodies = scenes.Scene.of_boxes(comm, "quadrilateral", parts, marks, bent, young=young)
+    u, motion = fem.Function(bodies.V), fem.Function(bodies.V)
 
     def set_load(part: float) -> None:
-        values = motion.x.array.reshape(-1, 2)
-        values[:, 0], values[:, 1] = 1.5 * max(part - 1.0, 0.0), -depth * min(part, 1.0)
+        motion.x.array.reshape(-1, 2)[:] = 1.5 * max(part - 1.0, 0.0), -depth * min(part, 1.0)
 
-    return Scene(problem, fem.form(W), set_load)
-
-
-def _bend(x: Any) -> None:
-    """Bend the second box to the half annulus of the radii 0.3 and 0.6 around (0.9, 1.6)."""
-    die = x[:, 0] > 9.0
-    angle, radius = np.pi * (x[die, 0] - 9.0), 0.3 + 0.3 * x[die, 1]
-    x[die, 0], x[die, 1] = 0.9 + radius * np.cos(angle), 1.6 + radius * np.sin(angle)
-
-
-def cell_space(mesh: Any) -> Any:
-    """Return the space of functions that are constant in each cell."""
-    return lagrange_space(mesh, 0, discontinuous=True)
+    bodies.fix(BASE)
+    bodies.fix(ENDS, None, motion)
+    bodies.add_pair(slave, TOP + SLIDER - slave, friction=friction)
+    W = neo_hookean(bodies.young, 0.3)(u) * ufl.dx
+    return Scene.of(bodies, u, W, set_load, **options)
 
 
 def pressed_patch(
@@ -259,24 +228,21 @@ def pressed_patch(
     so do the sides if they are confined. The mesh is turned by the angle `turned`. The upper block
     is the slave, the master, or tied. Returned is also the force on the upper block in the end [N].
     """
-    mesh, tags, axes = _two_blocks(comm, cell, confined, turned)
-    dim = mesh.geometry.dim
-    V = displacement_space(mesh, degree)
-    u, ends = fem.Function(V), fem.Function(V)
-    W = neo_hookean(1.0, nu)(u) * ufl.dx
-    outer = [fem.locate_dofs_topological(V, dim - 1, tags.find(tag)) for tag in (BASE, ENDS)]
-    slave, master = (TOP, SLIDER) if upper == "master" else (SLIDER, TOP)
-    if upper == "tied":
-        interface = TiedPair(tags, slave=slave, master=master)
-    else:
-        interface = ContactPair(tags, slave=slave, master=master, friction=friction)
-    problem = NonlinearContactProblem(
-        ufl.derivative(W, u, ufl.TestFunction(V)),
-        u,
-        bcs=[fem.dirichletbc(ends, dofs) for dofs in outer],
-        contacts=[interface],
-        options=options,
-    )
+    dim = scenes.dimension(cell)
+    sizes = [(6, 3), (8, 4)] if dim == 2 else [(2, 2, 1), (3, 3, 2)]
+    low, high, up = np.zeros(dim), np.append(np.ones(dim - 1), 0.5), 0.5 * np.eye(dim)[-1]
+    parts = [(low + k * up, high + k * up, cells) for k, cells in enumerate(sizes)]
+
+    def moved(x: Any) -> Any:
+        ends = np.isclose(x[dim - 1], 0) | np.isclose(x[dim - 1], 1)
+        sides = (np.isclose(x[: dim - 1], 0) | np.isclose(x[: dim - 1], 1)).any(axis=0)
+        return ends | sides if confined else ends
+
+    marks = [(BASE, moved, 1), (ENDS, moved, 2)]
+    marks += [(TOP, at(dim - 1, 0.5), 1), (SLIDER, at(dim - 1, 0.5), 2)]
+    bodies = scenes.Scene.of_boxes(comm, cell, parts, marks, degree=degree)
+    axes = turn(bodies.mesh, turned)
+    u, ends = fem.Function(bodies.V), fem.Function(bodies.V)
 
     def set_load(part: float) -> None:
         axial = 1.0 - part * compression
@@ -284,33 +250,15 @@ def pressed_patch(
         F = rotation(part * motion, dim) @ axes @ np.diag(stretches) @ axes.T
         ends.interpolate(lambda x: F @ x[:dim] - x[:dim])
 
-    axial = 1.0 - compression
-    force = axial_force(axial, dim, nu, confined)
-    return Scene(problem, fem.form(W), set_load), -force * rotation(motion, dim) @ axes[:, -1]
-
-
-def _two_blocks(comm: MPI.Intracomm, cell: str, confined: bool, turned: float) -> Any:
-    """Mesh two blocks apart, one on the other, with the tags of their ends and of the interface."""
-    dim = 2 if cell in ("triangle", "quadrilateral") else 3
-    sizes = [(6, 3), (8, 4)] if dim == 2 else [(2, 2, 1), (3, 3, 2)]
-    corners = [(0.0,) * dim, (1.0,) * (dim - 1) + (0.5,)]
-    up = np.array((0.0,) * (dim - 1) + (0.5,))
-    blocks = [Box(corners[0] + i * up, corners[1] + i * up, cells) for i, cells in enumerate(sizes)]
-    tagged = boxes(comm, blocks, cell)
-    mesh = tagged.mesh
-
-    def moved(x: Any) -> Any:
-        ends = np.isclose(x[dim - 1], 0) | np.isclose(x[dim - 1], 1)
-        sides = (np.isclose(x[: dim - 1], 0) | np.isclose(x[: dim - 1], 1)).any(axis=0)
-        return ends | sides if confined else ends
-
-    surfaces = [
-        (BASE, moved, 1),
-        (ENDS, moved, 2),
-        (TOP, lambda x: np.isclose(x[dim - 1], 0.5), 1),
-        (SLIDER, lambda x: np.isclose(x[dim - 1], 0.5), 2),
-    ]
-    return mesh, tag_facets(mesh, surfaces, tagged.cell_tags), turn(mesh, turned)
+    for tag in (BASE, ENDS):
+        bodies.fix(tag, None, ends)
+    slave = TOP if upper == "master" else SLIDER
+    bodies.add_pair(slave, TOP + SLIDER - slave, friction=friction)
+    if upper == "tied":
+        bodies.contacts = [TiedPair(bodies.facet_tags, slave=SLIDER, master=TOP)]
+    scene = Scene.of(bodies, u, neo_hookean(1.0, nu)(u) * ufl.dx, set_load, **options)
+    force = axial_force(1.0 - compression, dim, nu, confined)
+    return scene, -force * rotation(motion, dim) @ axes[:, -1]
 
 
 def squeezed_block(
@@ -325,25 +273,18 @@ def squeezed_block(
 
     Returned is also the force of the lower plane on it in the end [N].
     """
-    cell = {2: "quadrilateral", 3: "hexahedron"}[dim]
-    mesh = boxes(comm, [Box((0.0,) * dim, (1.0,) * dim, (n,) * dim)], cell).mesh
-    tags = tag_facets(
-        mesh, {BASE: lambda x: np.isclose(x[dim - 1], 0), TOP: lambda x: np.isclose(x[dim - 1], 1)}
-    )
-    up = turn(mesh, turned)[:, -1]
-    V = displacement_space(mesh)
-    u, load = fem.Function(V), {"height": 1.0}
-    W = neo_hookean(1.0, 0.3)(u) * ufl.dx
-    problem = NonlinearContactProblem(
-        ufl.derivative(W, u, ufl.TestFunction(V)),
-        u,
-        contacts=[
-            RigidObstacle(tags, BASE, Plane(0.0 * up, up)),
-            RigidObstacle(tags, TOP, lambda x: Plane(load["height"] * up, -up)(x)),
-        ],
-        options=options,
-    )
-    scene = Scene(problem, fem.form(W), lambda part: load.update(height=1.0 - part * compression))
+    marks = [(BASE, at(dim - 1, 0.0)), (TOP, at(dim - 1, 1.0))]
+    block = (0.0,) * dim, (1.0,) * dim, (n,) * dim
+    bodies = scenes.Scene.of_boxes(comm, solid(dim), [block], marks)
+    up = turn(bodies.mesh, turned)[:, -1]
+    u, load = fem.Function(bodies.V), {"height": 1.0}
+    bodies.add_obstacle(BASE, Plane(0.0 * up, up))
+    bodies.add_obstacle(TOP, lambda x: Plane(load["height"] * up, -up)(x))
+
+    def set_load(part: float) -> None:
+        load["height"] = 1.0 - part * compression
+
+    scene = Scene.of(bodies, u, neo_hookean(1.0, 0.3)(u) * ufl.dx, set_load, **options)
     return scene, -axial_force(1.0 - compression, dim) * up
 
 

@@ -182,11 +182,12 @@ def fixed(V: Any, facet_tags: Any, tag: int, component: int | None = None, value
     fdim = V.mesh.topology.dim - 1
     V.mesh.topology.create_connectivity(fdim, fdim + 1)
     space = V if component is None else V.sub(component)
+    dofs = fem.locate_dofs_topological(space, fdim, facet_tags.find(tag))
+    if isinstance(value, fem.Function):
+        return fem.dirichletbc(value, dofs)
     if component is None and np.isscalar(value):
         value = np.full(V.mesh.geometry.dim, value, PETSc.ScalarType)
-    return fem.dirichletbc(
-        value, fem.locate_dofs_topological(space, fdim, facet_tags.find(tag)), space
-    )
+    return fem.dirichletbc(value, dofs, space)
 
 
 def normal_forces(problem: ContactProblem) -> list[float]:
