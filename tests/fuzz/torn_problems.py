@@ -127,7 +127,7 @@ class _Draw:
         return np.array(
             [
                 self.node.setdefault((self.body[cell], tuple(base + p)), len(self.node))
-                for p in lattice_points(self.n, self.gdim)
+                for p in lattice_points(*[self.n] * self.gdim)
             ]
         )
 
@@ -154,7 +154,7 @@ class _Draw:
     def on_face(self, axis: int, side: int) -> Numbers:
         """Return the lattice numbers of the nodes on a face of a cell."""
         level = self.n if side > 0 else 0
-        return np.flatnonzero(lattice_points(self.n, self.gdim)[:, axis] == level)
+        return np.flatnonzero(lattice_points(*[self.n] * self.gdim)[:, axis] == level)
 
     def outer_faces(self, body: int) -> list[tuple[Place, int, int]]:
         return [

@@ -6,14 +6,13 @@ subdomains are then indefinite: compression drives their rotations, and slender 
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
 from fibres import FAR, subdomain
+from lattice import element_of_stress, grid_stiffness
 from torn import fixed_nodes, node_rows
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
@@ -22,37 +21,10 @@ DEPTH = 0.3
 FIELDS = ("nodes", "components", "values")
 
 
-def element_of_stress(stress: np.ndarray) -> np.ndarray:
-    """Return the geometric stiffness of a square or cube of size 1 with a stress (gdim, gdim)."""
-    gdim = len(stress)
-    corners = np.array(list(itertools.product((-1, 1), repeat=gdim)))
-    K = np.zeros((len(corners),) * 2)
-    for point in itertools.product((-(3**-0.5), 3**-0.5), repeat=gdim):
-        one = 1 + corners * np.array(point)
-        gradient = 2.0 * np.stack(
-            [
-                corners[:, i] * np.prod(np.delete(one, i, axis=1), axis=1) / 2**gdim
-                for i in range(gdim)
-            ]
-        )
-        K += gradient.T @ stress @ gradient / 2**gdim
-    return np.kron(K, np.identity(gdim))
-
-
 def stressed(part: Subdomain, stress: np.ndarray) -> Subdomain:
     """Return a grid of `fibres.subdomain` with the stiffness of a stress added."""
-    gdim = len(stress)
-    lattice = np.rint(part.coordinates - part.coordinates.min(axis=0)).astype(int)
-    number = {tuple(place): k for k, place in enumerate(lattice)}
-    rows, columns, element = [], [], element_of_stress(stress)
-    for cell in itertools.product(*map(range, lattice.max(axis=0))):
-        nodes = [number[tuple(np.add(cell, c))] for c in itertools.product((0, 1), repeat=gdim)]
-        unknowns = (gdim * np.array(nodes)[:, None] + np.arange(gdim)).ravel()
-        rows.append(np.repeat(unknowns, unknowns.size))
-        columns.append(np.tile(unknowns, unknowns.size))
-    values = np.tile(element.ravel(), len(rows))
-    places = np.concatenate(rows), np.concatenate(columns)
-    added = sp.csr_matrix((values, places), part.stiffness.shape)
+    shape = np.rint(np.ptp(part.coordinates, axis=0)).astype(int)
+    added = grid_stiffness(tuple(shape.tolist()), element_of_stress(stress))
     return replace(part, stiffness=(part.stiffness + added).tocsr())
 
 
@@ -75,19 +47,10 @@ def pressed_block(
 ) -> TornSystem:
     """Return a compressed block, clamped at its base, with a compressed punch; this rank's share.
 
-    Parameters
-    ----------
-    gdim : int
-        2 or 3; in 3D block and punch are two elements deep.
-    pressure : float
-        In all subdomains; Young's modulus is 1.
-    shape : tuple of int
-        Elements of a subdomain along each axis.
-    columns, layers : int
-        Subdomains of the block along x, and of its height; the punch has those in the middle.
-    clamped : bool
-        Whether the top of the punch is moved down, or loaded downward while it may not move
-        sideways: only contact then holds the punch against rotations.
+    In 3D block and punch are two elements deep. The pressure is that in all subdomains, of Young's
+    modulus 1 and `shape` elements; the block has `columns` by `layers` of them, the punch those in
+    the middle. The top of the punch is moved down if it is clamped, otherwise it is loaded downward
+    and may not move sideways: only contact then holds it against rotations.
     """
     shape = shape or ((6, 6) if gdim == 2 else (3, 2, 3))
     stress = compression(gdim, pressure)

@@ -21,7 +21,7 @@ def cube(n: int, corner=(0, 0, 0), body: int = 0, first: int = 0, load=(0, 0, 0)
 
     Nodes are numbered by position within a body (first + lattice number), so neighbours are glued.
     """
-    lattice = lattice_points(n, 3)
+    lattice = lattice_points(n, n, n)
     K = YOUNG * box_stiffness(n, np.ones(3), POISSON)
     place = lattice + n * np.array(corner)
     nodes = first + (place[:, 0] * 1000 + place[:, 1]) * 1000 + place[:, 2]
