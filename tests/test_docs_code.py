@@ -24,6 +24,7 @@ import numpy as np
 import pytest
 import scenes
 from demo_runner import UNRENDERED
+from msh_files import gmsh_model
 
 import ufl
 from dolfinx import fem
@@ -377,7 +378,7 @@ def test_bolts(folder):
     assert joint.normal_force.sum() == pytest.approx(bolt.tension - 10e3, rel=1e-6)
 
 
-def draw_bolt_in_block(path: Path) -> None:
+def draw_bolt_in_block() -> None:
     """Mesh a disc in a square, which share the nodes of the circle."""
     occ = gmsh.model.occ
     square, disc = occ.addRectangle(-2, -2, 0, 4, 4), occ.addDisk(0, 0, 0, 1, 1)
@@ -388,7 +389,7 @@ def draw_bolt_in_block(path: Path) -> None:
         gmsh.model.setPhysicalName(2, gmsh.model.addPhysicalGroup(2, bodies), name)
 
 
-def draw_rings(path: Path) -> None:
+def draw_rings() -> None:
     """Mesh a disc with cells of degree 2."""
     gmsh.model.occ.addDisk(0, 0, 0, 1, 1)
     gmsh.model.occ.synchronize()
@@ -398,19 +399,12 @@ def draw_rings(path: Path) -> None:
 def test_surfaces(folder):
     """Pairs, an interface that is opened, ties, and displacements of degree 2."""
     for draw, path, order in (
-        (draw_bolt_in_block, Path("bolt_in_block.msh"), 1),
-        (draw_rings, Path("rings.msh"), 2),
+        (draw_bolt_in_block, "bolt_in_block.msh", 1),
+        (draw_rings, "rings.msh", 2),
     ):
-        gmsh.initialize()
-        try:
-            gmsh.option.setNumber("General.Terminal", 0)
+        with gmsh_model(path, 2, order):
             gmsh.option.setNumber("Mesh.MeshSizeMin", 0.5)
-            draw(path)
-            gmsh.model.mesh.generate(2)
-            gmsh.model.mesh.setOrder(order)
-            gmsh.write(str(path))
-        finally:
-            gmsh.finalize()
+            draw()
     scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 2)
     given = {name: getattr(fenics_tfeti, name) for name in fenics_tfeti.__all__}
     given |= {name: getattr(fenics_tfeti.io, name) for name in fenics_tfeti.io.__all__}

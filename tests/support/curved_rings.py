@@ -8,7 +8,7 @@ from typing import Any
 
 from mpi4py import MPI
 
-import pytest
+from msh_files import gmsh_model
 
 from fenics_tfeti.io import read_msh
 
@@ -18,10 +18,7 @@ def quarter_rings(path: Path, cells: Sequence[int], radii: Sequence[Any], recomb
 
     Tags 1 and 2 of cells; of facets 11, 12 where they touch, 13 on the x axis, 14 on the y axis.
     """
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model(path, 2, order=2) as gmsh:
         geo, mesh = gmsh.model.geo, gmsh.model.mesh
         rings = []
         for a, b in radii:
@@ -45,9 +42,4 @@ def quarter_rings(path: Path, cells: Sequence[int], radii: Sequence[Any], recomb
         groups = [(2, [inner], 1), (2, [outer], 2), (1, [i[1]], 11), (1, [o[3]], 12)]
         for dim, entities, tag in [*groups, (1, [i[0], o[0]], 13), (1, [i[2], o[2]], 14)]:
             gmsh.model.addPhysicalGroup(dim, entities, tag)
-        mesh.generate(2)
-        mesh.setOrder(2)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
     return read_msh(path, MPI.COMM_SELF, 2)

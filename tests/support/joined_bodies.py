@@ -5,7 +5,7 @@ from __future__ import annotations
 from mpi4py import MPI
 
 import numpy as np
-import pytest
+from msh_files import gmsh_model
 from scenes import Scene, at, fixed
 
 import dolfinx
@@ -92,10 +92,7 @@ def elasticity(tagged, press):
 
 def bolt_in_block(path, gdim, order=1):
     """Write a mesh of a block with a bolt through it, which share the nodes of the hole."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model(path, gdim, order) as gmsh:
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
         shapes = gmsh.model.occ
         if gdim == 3:
@@ -121,8 +118,3 @@ def bolt_in_block(path, gdim, order=1):
         for number, (dim, tags, name) in enumerate(groups, start=1):
             gmsh.model.addPhysicalGroup(dim, tags, number)
             gmsh.model.setPhysicalName(dim, number, name)
-        gmsh.model.mesh.generate(gdim)
-        gmsh.model.mesh.setOrder(order)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from mpi4py import MPI
 
 import numpy as np
 from mesh_arrays import of_script
+from msh_files import gmsh_model
 from scenes import Scene
 
 import ufl
@@ -85,11 +85,9 @@ def largest_mean_pressure(contact: ContactResult, low: float, high: float) -> fl
 
 def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any) -> ContactProblem:
     """Return a pin that 540 N/mm press into the hole of a lug, on triangles in the plane."""
-    handler = signal.getsignal(signal.SIGINT)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plane.msh"
         _plane_mesh(path, size, degree)
-        signal.signal(signal.SIGINT, handler)
         bodies = read_msh(path, MPI.COMM_SELF, gdim=2)
     names = bodies.names
     scene = Scene.of(bodies, degree=degree, young=YOUNG)
@@ -112,11 +110,7 @@ def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any
 
 
 def _plane_mesh(path: Path, size: float, order: int) -> None:
-    import gmsh
-
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model(path, 2, order) as gmsh:
         occ = gmsh.model.occ
         pin = occ.addDisk(0, 0, 0, RADIUS, RADIUS)
         plate, end = occ.addRectangle(0, -9, 0, 30, 18), occ.addDisk(0, 0, 0, 9, 9)
@@ -136,8 +130,3 @@ def _plane_mesh(path: Path, size: float, order: int) -> None:
         for name in sorted(named):
             gmsh.model.setPhysicalName(1, gmsh.model.addPhysicalGroup(1, named[name]), name)
         gmsh.option.setNumber("Mesh.MeshSizeMax", size)
-        gmsh.model.mesh.generate(2)
-        gmsh.model.mesh.setOrder(order)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
+from msh_files import gmsh_model
 
 import ufl
 from dolfinx import fem
@@ -89,9 +89,7 @@ def two_bars(n, courant, alpha=-0.05, comm=MPI.COMM_SELF, options=None):
 
 def draw_meridian(path, radius, size, patch):
     """Mesh half of a disc that touches the plane y = 0, with elements of a size near the pole."""
-    gmsh.initialize(readConfigFiles=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model(path, 2) as gmsh:
         occ, mesh = gmsh.model.occ, gmsh.model.mesh
         disc = occ.addDisk(0, radius, 0, radius, radius)
         occ.intersect([(2, disc)], [(2, occ.addRectangle(0, 0, 0, radius, 2 * radius))])
@@ -103,7 +101,3 @@ def draw_meridian(path, radius, size, patch):
             gmsh.option.setNumber(f"Mesh.{option}", 0)
         body = gmsh.model.addPhysicalGroup(2, [tag for _, tag in gmsh.model.getEntities(2)])
         gmsh.model.setPhysicalName(2, body, "ball")
-        mesh.generate(2)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()

@@ -1,6 +1,29 @@
-"""Small .msh files of version 2.2."""
+"""Small .msh files of version 2.2, and those of models of Gmsh."""
 
 from __future__ import annotations
+
+import signal
+from contextlib import contextmanager
+
+import pytest
+
+
+@contextmanager
+def gmsh_model(path, gdim, order=1):
+    """Yield Gmsh for a new model, which is meshed and written in the end."""
+    gmsh = pytest.importorskip("gmsh")
+    handler = signal.getsignal(signal.SIGINT)  # Gmsh replaces it
+    gmsh.initialize(readConfigFiles=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        yield gmsh
+        gmsh.model.mesh.generate(gdim)
+        gmsh.model.mesh.setOrder(order)
+        gmsh.write(str(path))
+    finally:
+        gmsh.finalize()
+        signal.signal(signal.SIGINT, handler)
+
 
 SQUARE = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
 CUBE = SQUARE + [(x, y, 1) for x, y, _ in SQUARE]

@@ -11,13 +11,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from msh_files import gmsh_model
 from scenes import POISSON, Scene
 
 from fenics_tfeti.io import read_msh, tag_facets
 
 pytestmark = pytest.mark.once
-
-gmsh = pytest.importorskip("gmsh")
 
 R, DEPTH = 8.0, 0.11
 FINE = 1.4  # the region of small elements around the contact
@@ -35,9 +34,7 @@ def mesh_of_round_and_block(path, gdim, sizes, degree=1):
 
     With degree 2 the cells of the ball are curved.
     """
-    gmsh.initialize()
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with gmsh_model(path, gdim, degree) as gmsh:
         occ = gmsh.model.occ
         if gdim == 3:
             whole = occ.addSphere(0, 0, R, R), occ.addBox(0, 0, 0, R, R, R)
@@ -55,11 +52,6 @@ def mesh_of_round_and_block(path, gdim, sizes, degree=1):
         )
         for source in ("ExtendFromBoundary", "FromPoints", "FromCurvature"):
             gmsh.option.setNumber(f"Mesh.MeshSize{source}", 0)
-        gmsh.model.mesh.generate(gdim)
-        gmsh.model.mesh.setOrder(degree)
-        gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 def solved(path, gdim, sizes, slave, degree=1):
