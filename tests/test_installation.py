@@ -66,9 +66,15 @@ def test_blas_is_named_by_the_loaded_libraries(loaded, name):
     assert blas(2e9, loaded).startswith(f"{name}, ")
 
 
+@pytest.mark.ranks
 def test_self_test_is_exact():
-    error, products, seconds = self_test(COMM)
+    """On several ranks it has one result, and so have the facts."""
+    comm = MPI.COMM_WORLD
+    error, products, seconds = result = self_test(comm)
     assert error < 1e-6 and 0 < products < 100 and seconds > 0.0
+    found = facts(comm)
+    assert found["processes"] == str(comm.size)
+    assert comm.allgather((result, found)) == [(result, found)] * comm.size
 
 
 @pytest.mark.parametrize(

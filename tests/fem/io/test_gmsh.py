@@ -214,17 +214,16 @@ def two_beams_script():
     return module
 
 
-@pytest.fixture(scope="module", params=["file", "hexahedron", "tetrahedron"])
+@pytest.fixture(scope="module", params=["hexahedron", "tetrahedron"])
 def two_beams(request, tmp_path_factory):
-    """Return the mesh in the repository, or a coarse one that the script makes."""
-    path = MESHES / "two_beams.msh"
-    if request.param != "file":
-        path = tmp_path_factory.mktemp("meshes") / "two_beams.msh"
-        two_beams_script().two_beams(path, request.param, elements_per_metre=3)
+    """Return a coarse mesh that the script makes."""
+    path = tmp_path_factory.mktemp("meshes") / "two_beams.msh"
+    two_beams_script().two_beams(path, request.param, elements_per_metre=3)
     return read_msh(path, MPI.COMM_SELF)
 
 
-def test_two_beams_have_the_volumes_and_areas_of_the_drawing(two_beams):
+def check_sizes(two_beams):
+    """Compare volumes and areas with the drawing."""
     dx = ufl.Measure("dx", domain=two_beams.mesh, subdomain_data=two_beams.cell_tags)
     ds = ufl.Measure("ds", domain=two_beams.mesh, subdomain_data=two_beams.facet_tags)
     volumes = [integral(two_beams.mesh, dx(two_beams.names[n])) for n in ("lower", "upper")]
@@ -232,6 +231,10 @@ def test_two_beams_have_the_volumes_and_areas_of_the_drawing(two_beams):
     areas = [integral(two_beams.mesh, ds(two_beams.names[name])) for name in surfaces]
     assert volumes == pytest.approx([2, 2])
     assert areas == pytest.approx([1, 1, 1, 1, 3])
+
+
+def test_two_beams_have_the_volumes_and_areas_of_the_drawing(two_beams):
+    check_sizes(two_beams)
 
 
 def test_two_beams_have_matching_but_separate_nodes_at_the_contact(two_beams):
@@ -250,7 +253,15 @@ def test_two_beams_have_matching_but_separate_nodes_at_the_contact(two_beams):
     assert distance.min(axis=1).max() < 1e-12
 
 
+@pytest.mark.ranks
 def test_two_beams_of_the_repository_have_12_elements_per_metre():
-    mesh = read_msh(MESHES / "two_beams.msh", MPI.COMM_SELF).mesh
-    assert mesh.topology.index_map(3).size_global == 2 * 24 * 12 * 12
-    assert mesh.topology.index_map(0).size_global == 2 * 25 * 13 * 13
+    """All ranks together hold the mesh; errors are raised on all of them."""
+    path, comm = MESHES / "two_beams.msh", MPI.COMM_WORLD
+    beams = read_msh(path, comm)
+    assert beams.mesh.topology.index_map(3).size_global == 2 * 24 * 12 * 12
+    assert beams.mesh.topology.index_map(0).size_global == 2 * 25 * 13 * 13
+    check_sizes(beams)
+    with pytest.raises(FileNotFoundError, match="no mesh file"):
+        read_msh("nowhere.msh", comm)
+    with pytest.raises(InputError, match="pass gdim=3"):
+        read_msh(path, comm, gdim=2)
