@@ -28,15 +28,7 @@ def interrupt_after(
 
 
 class InterruptedTimer(Timer):
-    """The timer of a solver that is interrupted in a phase of its set-up.
-
-    Parameters
-    ----------
-    name : str
-        The phase.
-    interrupt : callable
-        Sends the signal.
-    """
+    """The timer of a solver that is interrupted in a phase of its set-up."""
 
     def __init__(self, name: str, interrupt: Callable[[], None]) -> None:
         super().__init__()

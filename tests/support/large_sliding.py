@@ -34,28 +34,14 @@ GEOMETRY = Exact(tolerance=1e-4, max_passes=40)
 
 @dataclass(frozen=True)
 class Way:
-    """What is recorded in the steps, one row each.
+    """What is recorded in the steps, one row each."""
 
-    Attributes
-    ----------
-    place : (n,) array
-        Where the driven body is: a distance [m] or an angle [rad].
-    drive : (n,) array
-        What drives it: force [N/m] or moment [N m/m].
-    dead : (n,) array
-        Work of the dead loads against the undeformed state [J/m].
-    energy : (n,) array
-        Stored in the bodies and springs [J/m].
-    passes, products : (n,) integer arrays
-        Geometry passes and applications of F.
-    """
-
-    place: Vector
-    drive: Vector
-    dead: Vector
-    energy: Vector
+    place: Vector  # of the driven body: a distance [m] or an angle [rad]
+    drive: Vector  # what drives it: force [N/m] or moment [N m/m]
+    dead: Vector  # work of the dead loads against the undeformed state [J/m]
+    energy: Vector  # stored in the bodies and springs [J/m]
     passes: NDArray[np.int64]
-    products: NDArray[np.int64]
+    products: NDArray[np.int64]  # with F
 
     @property
     def work(self) -> Vector:
@@ -168,16 +154,9 @@ def pushed_block(
     slave: int = SLAVE,
     geometry: Exact = GEOMETRY,
 ) -> Way:
-    """Push a block with a round foot over a bump by its upper part, under a dead load.
+    """Push a block with a round foot, SLAVE, over a bump by its upper part, under a dead load.
 
-    Parameters
-    ----------
-    steps : int
-        Number of equal steps over 2.4 m.
-    base, foot : int
-        Numbers of facets on 4 m of the base, and on 0.6 m of the foot.
-    slave : {SLAVE, MASTER}
-        SLAVE is the foot.
+    There are `base` facets on 4 m of the base, `foot` on 0.6 m, and equal steps over 2.4 m.
     """
     start, width, top = -1.2, 0.6, 0.6
     profile = bump(0.08, 0.6)
@@ -236,19 +215,10 @@ def turned_with_mesh(
     poses: list[tuple[float, Vector, Vector]],
     slave: int,
 ) -> Way:
-    """Turn body 1, whose hub is held, and record the drive's power per angle.
+    """Turn body 1, a ring with the hub CLAMPED, and record the drive's power per angle.
 
-    Parameters
-    ----------
-    bodies : Bodies
-        The scene; body 1 is a ring with the hub CLAMPED.
-    centre : (2,) array
-        Of the ring in the mesh.
-    poses : list of (angle, centre, velocity)
-        The angle of each step, anticlockwise [rad], where the centre is and its derivative by the
-        angle.
-    slave : {SLAVE, MASTER}
-        The slave's tag.
+    `centre` is that of the ring in the mesh. The poses are the angle of each step, anticlockwise
+    [rad], where the centre is and its derivative by the angle.
     """
     x, own = bodies.mesh.geometry.x, bodies.nodes(1)
     reference = x[own, :2] - centre
@@ -283,16 +253,8 @@ def cam(
 ) -> Way:
     """Turn an eccentric disc by half a turn under a guided follower that a spring presses on it.
 
-    Parameters
-    ----------
-    steps : int
-        Number of equal steps.
-    around_cam, foot : int
-        Numbers of facets on the cam's circumference, and on the 1 m of the flat follower.
-    eccentricity : float
-        Half of what the follower rises [m].
-    slave : {SLAVE, MASTER}
-        SLAVE is the cam.
+    There are `around_cam` facets on the circumference of the cam, SLAVE, and `foot` on 1 m of the
+    flat follower, which rises by twice the eccentricity [m].
     """
     # the follower's spring is shortened by 0.1 m at first
     low = RADIUS - eccentricity - 0.1
@@ -327,16 +289,9 @@ def cam(
 
 
 def rolling(steps: int, around_wheel: int = 160, base: int = 120, slave: int = SLAVE) -> Way:
-    """Roll a wheel, whose axle is guided at one height, by half a turn over a bump.
+    """Roll a wheel, SLAVE, whose axle is guided at one height, by half a turn over a bump.
 
-    Parameters
-    ----------
-    steps : int
-        Number of equal steps.
-    around_wheel, base : int
-        Numbers of facets on the wheel's circumference, and on 2.4 m of the base.
-    slave : {SLAVE, MASTER}
-        SLAVE is the wheel.
+    There are `around_wheel` facets on its circumference, and `base` on 2.4 m of the base.
     """
     # no symmetry: the wheel ends nearer to the bump than it starts
     profile = bump(0.03, 0.6, middle=0.25)

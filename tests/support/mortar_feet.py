@@ -24,18 +24,7 @@ def foot_on_table(
 ) -> ContactProblem:
     """Solve for a block of 0.6 m that is pressed on a table of 1 m, off its middle along all axes.
 
-    Parameters
-    ----------
-    cell : str
-        Type of the cells.
-    grid : (int, int)
-        Cells along the table's and the foot's sides.
-    offset : float
-        Distance of the foot from the middle along each axis [m].
-    slave : int
-        TABLE or FOOT.
-    of_pair
-        Further arguments of the pair.
+    `grid` is the numbers of cells along the table's and the foot's sides.
     """
     across = dimension(cell) - 1
     on_table, on_foot = grid

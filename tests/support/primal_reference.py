@@ -49,14 +49,8 @@ def primal_active_set(
     """Solve by the primal-dual active set (semismooth Newton) method and assert the KKT conditions.
 
     All rows are active at first: a body that only contact holds is then held, and the rows that
-    would pull are dropped in the next step.
-
-    Raises
-    ------
-    RuntimeError
-        If an active set comes back (the method cycles) or `max_steps` do not suffice.
-    AssertionError
-        If the result does not satisfy the KKT conditions to `tolerance`, all relative.
+    would pull are dropped in the next step. An active set that comes back, or more than `max_steps`
+    of them, is an error. All tolerances are relative.
     """
     K, C = sp.csr_matrix(K), sp.csr_matrix(C)
     C.eliminate_zeros()

@@ -57,16 +57,8 @@ def interpolated(
 ) -> ContactRows:
     """Return rows D d'(u(node) - interpolated master) = 0 of all nodes on the plane z = 1.
 
-    Parameters
-    ----------
-    n_master : int
-        Elements an edge of the master's cubes: a grid of bilinear facets.
-    directions : (k, 3) array
-        Directions d: a row for each at every node.
-    area : callable, optional
-        Node coordinates -> D; 1 by default.
-    master_above : bool
-        Whether the upper block is the master.
+    The master's cubes have `n_master` elements an edge: a grid of bilinear facets. At every node
+    there is a row for each of the directions d (k, 3); D, 1 by default, is a function of places.
     """
     slave, x = plane(subdomains, int(not master_above), 1.0)
     master, y = plane(subdomains, int(master_above), 1.0)

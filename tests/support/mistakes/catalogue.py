@@ -15,25 +15,13 @@ Pose = Callable[[MPI.Comm], object]
 
 
 class Mistake(NamedTuple):
-    """A problem with one mistake, and what the error has to say about it.
+    """A problem with one mistake, and what the error has to say about it."""
 
-    Attributes
-    ----------
-    subject, name : str
-        Heading and entry of the page of errors.
-    pose : callable
-        Sets up and solves the problem on a communicator.
-    words : tuple of str
-        Regular expressions that the message contains.
-    error : type
-        The exact type of the error.
-    """
-
-    subject: str
+    subject: str  # heading of the page of errors
     name: str
-    pose: Pose
-    words: tuple[str, ...]
-    error: type[Exception]
+    pose: Pose  # sets up and solves the problem
+    words: tuple[str, ...]  # regular expressions that the message contains
+    error: type[Exception]  # exactly this one
 
 
 def table(
