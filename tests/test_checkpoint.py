@@ -15,6 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from killed_run import HEIGHTS, Disc, block, block_on_disc, run
+from new_process import mpirun
 
 from fenics_tfeti import Coulomb, InputError, Interrupted, NotConverged, Plane
 from fenics_tfeti.feti import save_checkpoint
@@ -43,14 +44,6 @@ def saved(tmp_path_factory):
 @pytest.fixture
 def path(tmp_path):
     return tmp_path / "checkpoint.npz"
-
-
-def mpirun() -> list[str]:
-    """Return the launcher of the MPI library that this Python's mpi4py loads."""
-    own = Path(sys.prefix) / "bin" / "mpiexec"
-    command = str(own) if own.exists() else "/usr/bin/mpirun"
-    version = subprocess.run([command, "--version"], capture_output=True, text=True).stdout
-    return [command, "--oversubscribe"] if "Open MPI" in version else [command]
 
 
 def launched(ranks: int, *arguments: object) -> int:

@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import CELLS, block, mesh_of
+from mesh_arrays import block, mesh_of
+from scenes import CELLS
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import (

@@ -22,6 +22,8 @@ HERE = Path(__file__).resolve().parent
 # the package of this checkout, whatever is installed
 sys.path[:0] = [str(HERE.parents[1]), str(HERE.parent / "support")]
 
+from new_process import mpirun
+
 
 def _worker(arguments: argparse.Namespace) -> None:
     """Solve the cases of a list of seeds, on all ranks of COMM_WORLD together."""
@@ -85,7 +87,7 @@ class _Workers:
         command += ["--timeout", str(a.timeout), "--output", str(self.path)]
         command += ["--parent", str(os.getpid())]
         if a.ranks > 1:
-            command = [*_mpirun(), "-n", str(a.ranks), *command]
+            command = [*mpirun(), "-n", str(a.ranks), *command]
         environment = {
             **os.environ,
             "OMP_NUM_THREADS": "1",
@@ -148,14 +150,6 @@ class _Workers:
         whole = text[: text.rfind("\n") + 1]
         self._read += len(whole.encode())
         return [json.loads(line) for line in whole.splitlines()]
-
-
-def _mpirun() -> list[str]:
-    """Return the mpirun of the MPI library that this Python's mpi4py loads."""
-    own = Path(sys.prefix) / "bin" / "mpiexec"
-    command = str(own) if own.exists() else "/usr/bin/mpirun"
-    version = subprocess.run([command, "--version"], capture_output=True, text=True).stdout
-    return [command, "--oversubscribe"] if "Open MPI" in version else [command]
 
 
 def run(arguments: argparse.Namespace) -> list[dict[str, Any]]:

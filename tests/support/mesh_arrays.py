@@ -15,7 +15,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from numpy.typing import ArrayLike
-from scenes import Scene
+from scenes import Scene, dimension
 
 from dolfinx import mesh
 
@@ -25,7 +25,6 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.io import read_msh
 
 MESHES = Path(__file__).resolve().parents[2] / "meshes"
-CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def mesh_of(comm: MPI.Comm, cell: str, points: ArrayLike, cells: ArrayLike) -> Any:
@@ -82,7 +81,7 @@ TETRAHEDRA = [(0, 1, 3, 7), (0, 1, 5, 7), (0, 2, 3, 7), (0, 2, 6, 7), (0, 4, 5, 
 
 def block(cell: str, n: int = 3) -> tuple[Any, Any]:
     """Return points and cells of a square or cube of n^2 or n^3 units."""
-    points, cells = grid((n,) * (3 if "hedron" in cell else 2))
+    points, cells = grid((n,) * dimension(cell))
     if cell == "triangle":
         cells = np.concatenate([cells[:, [0, 1, 3]], cells[:, [0, 2, 3]]])
     if cell == "tetrahedron":
@@ -145,7 +144,7 @@ def unstructured_block(cell: str, size: float) -> tuple[Any, Any]:
     """
     import gmsh
 
-    dim = 3 if "hedron" in cell else 2
+    dim = dimension(cell)
     kind = {"triangle": 2, "quadrilateral": 3, "tetrahedron": 4, "hexahedron": 5}[cell]
     order = {3: [0, 1, 3, 2], 5: [0, 1, 3, 2, 4, 5, 7, 6]}.get(kind, slice(None))
     gmsh.initialize()

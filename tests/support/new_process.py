@@ -1,4 +1,4 @@
-"""Python code in a process of its own, which has imported nothing yet."""
+"""Python code in a process of its own, which has imported nothing yet, and runs on ranks."""
 
 from __future__ import annotations
 
@@ -18,3 +18,11 @@ def run_python(code: str, *arguments: str, timeout: int = 100) -> str:
     )
     assert done.returncode == 0, done.stderr
     return done.stdout.strip()
+
+
+def mpirun() -> list[str]:
+    """Return the launcher of the MPI library that this Python's mpi4py loads."""
+    own = Path(sys.prefix) / "bin" / "mpiexec"
+    command = str(own) if own.exists() else "/usr/bin/mpirun"
+    version = subprocess.run([command, "--version"], capture_output=True, text=True).stdout
+    return [command, "--oversubscribe"] if "Open MPI" in version else [command]

@@ -20,6 +20,7 @@ from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, Sphe
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, tag_facets
 
+CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 YOUNG, POISSON = 2.1e11, 0.3
 TRACTION = 20e6
 WEIGHT = 1e5

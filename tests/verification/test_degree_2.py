@@ -9,7 +9,7 @@ import pytest
 from curved_rings import quarter_rings
 from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem, uneven_scene
 from pairwise import pairwise
-from scenes import POISSON, Scene, at, dimension, normal_forces
+from scenes import CELLS, POISSON, Scene, at, dimension, normal_forces
 
 import ufl
 from dolfinx import fem
@@ -17,7 +17,6 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, Exact, Plane, RigidObstacle, TiedPair
 
 COMM = MPI.COMM_SELF
-CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 TOP, BOTTOM, SIDES = 1, 2, (3, 4)
 HALF = 0.5
 

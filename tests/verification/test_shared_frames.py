@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import Scene, at, dimension, elasticity, nothing_but_labels, scalar_space
+from scenes import CELLS, Scene, at, dimension, elasticity, nothing_but_labels, scalar_space
 
 import ufl
 from dolfinx import fem
@@ -16,7 +16,6 @@ from fenics_tfeti.fem import _compat
 
 SECTORS, ANGLE, N = 5, np.pi / 7, 2  # elements of a sector in each direction
 ROOT, END, INSIDE = 1, 2, 3
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def arch(cell):

@@ -6,17 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import (
-    CELLS,
-    block,
-    check_arrays,
-    concatenated,
-    grid,
-    merged,
-    mesh_of,
-    slit,
-    tags_of,
-)
+from mesh_arrays import block, check_arrays, concatenated, grid, merged, mesh_of, slit, tags_of
+from scenes import CELLS
 
 from fenics_tfeti import ContactPair, InputError
 from fenics_tfeti.fem.checks.mesh import check_mesh

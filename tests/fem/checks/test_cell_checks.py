@@ -11,7 +11,8 @@ import gmsh
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
-from mesh_arrays import CELLS, block, check_arrays, concatenated
+from mesh_arrays import block, check_arrays, concatenated
+from scenes import CELLS
 
 from fenics_tfeti import InputError
 from fenics_tfeti.fem.checks.mesh import check_mesh

@@ -9,14 +9,13 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import YOUNG, Scene, at, dimension, plane, scalar_space
+from scenes import CELLS, YOUNG, Scene, at, dimension, plane, scalar_space
 
 import ufl
 from dolfinx import fem
 
 COMM = MPI.COMM_WORLD
 
-CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 TOP, GROUND = 1, 2
 ONE_POINT = ufl.dx(metadata={"quadrature_degree": 0})
 

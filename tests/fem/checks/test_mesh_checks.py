@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from mesh_arrays import CELLS, block, check_arrays, concatenated, grid, mesh_of, slit, tags_of
+from mesh_arrays import block, check_arrays, concatenated, grid, mesh_of, slit, tags_of
+from scenes import CELLS
 
 from dolfinx.mesh import CellType, create_unit_cube, create_unit_square
 

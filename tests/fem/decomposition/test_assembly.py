@@ -11,7 +11,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 from box_rows import BOTTOM, INSIDE, LEFT, Row, assemble, row_of_boxes
-from scenes import YOUNG, elasticity, scalar_space, two_materials
+from scenes import CELLS, YOUNG, elasticity, scalar_space, two_materials
 
 import ufl
 from dolfinx import fem, mesh
@@ -22,8 +22,6 @@ from fenics_tfeti.fem.decomposition.assembly import prepare_forms, same_values
 from fenics_tfeti.fem.topology import cell_facets
 
 COMM = MPI.COMM_WORLD
-
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def alone(row: Row, part: Any, form: Any) -> Any:

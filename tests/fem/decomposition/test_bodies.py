@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mesh_arrays import grid, mesh_of, tags_of
+from scenes import CELLS, dimension
 
 from dolfinx.mesh import meshtags
 
@@ -15,11 +16,10 @@ from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.io import Box, boxes
 
 COMM = MPI.COMM_SELF
-CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
 
 def two_boxes(cell):
-    gdim = 3 if "hedron" in cell else 2
+    gdim = dimension(cell)
     low, high, up = np.zeros(gdim), np.ones(gdim), np.eye(gdim)[-1]
     parts = [Box(low, high, (2,) * gdim), Box(low + up, high + up, (2,) * gdim)]
     return boxes(COMM, parts, cell)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from box_rows import NUMBER, row_of_boxes
+from scenes import CELLS
 
 from fenics_tfeti.fem.decomposition.parts import find_equal, number_parts
-
-CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")
 
 
 def coordinates(row):

@@ -11,7 +11,16 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks, solved
-from scenes import MASTER, SLAVE, elasticity, normal_forces, pressed_block, two_beams
+from scenes import (
+    CELLS,
+    MASTER,
+    SLAVE,
+    dimension,
+    elasticity,
+    normal_forces,
+    pressed_block,
+    two_beams,
+)
 
 import dolfinx
 import ufl
@@ -20,8 +29,6 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, contact_fields, piecewise_constant, von_mises, write_fields
-
-GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 
 # Reads a file in a process of its own: on Debian 12 VTK does not work in one that used dolfinx.
 READ = """
@@ -46,7 +53,7 @@ def space(mesh, family, degree, shape=()):
 
 def unit_mesh(cell):
     """Return a mesh of two grid blocks of the unit square or cube."""
-    gdim = GDIM[cell]
+    gdim = dimension(cell)
     return boxes(MPI.COMM_SELF, [Box([0] * gdim, [1] * gdim, [2, 1, 1][:gdim])], cell).mesh
 
 
@@ -137,7 +144,7 @@ def test_paraview_finds_each_field_once_under_its_name(fields, tmp_path):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", CELLS)
 def test_mesh_is_written_once_however_many_fields(cell, tmp_path):
     mesh = unit_mesh(cell)
     fields = [fem.Function(space(mesh, "Lagrange", 1), name=name) for name in "abc"]

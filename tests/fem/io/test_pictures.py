@@ -9,6 +9,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scenes import dimension
 
 from dolfinx import fem
 
@@ -18,7 +19,6 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io import pictures
 from fenics_tfeti.io import Box, boxes, draw_deformed, draw_profile
 
-GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 PNG = b"\x89PNG\r\n\x1a\n"
 
 
@@ -31,7 +31,7 @@ def size_of(path):
 
 def fields(cell):
     """Return a displacement, a field of degree 1 and one of degree 0 on two boxes that touch."""
-    gdim = GDIM[cell]
+    gdim = dimension(cell)
     upwards = np.eye(gdim)[-1]
     grid = [3, 2, 2][:gdim]
     parts = [Box(k * upwards, [2] + [1] * (gdim - 2) + [1 + k], grid) for k in (0, 1)]

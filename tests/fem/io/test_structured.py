@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scenes import CELLS, dimension
 
 import dolfinx
 import ufl
@@ -13,13 +14,12 @@ import ufl
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, tag_facets
 
-GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
 CELLS_PER_BLOCK = {"triangle": 2, "quadrilateral": 1, "tetrahedron": 6, "hexahedron": 1}
 
 
 def two_boxes(cell, comm=MPI.COMM_WORLD):
     """Return a box of length 2, and another on the right half of its top; the height is last."""
-    if GDIM[cell] == 3:
+    if dimension(cell) == 3:
         parts = [Box((0, 0, 0), (2, 1, 1), (4, 3, 2)), Box((1, 0, 1), (3, 1, 2), (4, 3, 2))]
     else:
         parts = [Box((0, 0), (2, 1), (4, 3)), Box((1, 1), (3, 2), (4, 3))]
@@ -33,15 +33,15 @@ def integral(mesh, measure):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", CELLS)
 def test_cells_of_boxes(cell):
     """Boxes that touch share no node, and cells are not twisted."""
     pair = two_boxes(cell)
     mesh = pair.mesh
-    layers = 2 if GDIM[cell] == 3 else 0
+    layers = 2 if dimension(cell) == 3 else 0
     assert mesh.topology.index_map(0).size_global == 2 * 5 * 4 * (layers + 1)
     cells = 4 * 3 * max(layers, 1) * CELLS_PER_BLOCK[cell]
-    owned = np.arange(mesh.topology.index_map(GDIM[cell]).size_local)
+    owned = np.arange(mesh.topology.index_map(dimension(cell)).size_local)
     own = [np.isin(pair.cell_tags.find(k), owned).sum() for k in (1, 2)]
     assert mesh.comm.allreduce(np.array(own)).tolist() == [cells, cells]
     dx = ufl.Measure("dx", domain=mesh, subdomain_data=pair.cell_tags)
@@ -85,10 +85,10 @@ def test_no_box_is_refused():
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize("cell", GDIM)
+@pytest.mark.parametrize("cell", CELLS)
 def test_tagged_facets_have_the_area_of_the_marked_part(cell):
     pair = two_boxes(cell)
-    height = GDIM[cell] - 1
+    height = dimension(cell) - 1
     tags = tag_facets(
         pair.mesh,
         [
