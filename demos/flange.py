@@ -19,9 +19,11 @@ This demo illustrates how to
 - read the tension of a bolt in each load step.
 
 Run it by `python demos/flange.py`, or on several processes by `mpirun -n 2 python demos/flange.py`;
-it draws pictures into `results/`. The mesh comes from `meshes/flange.py`. All units are SI.
+it draws pictures into `results/`. The mesh comes from `meshes/flange.py`. A largest pull in kN,
+such as 15, may be given instead of 60. All units are SI.
 """
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -47,6 +49,7 @@ from fenics_tfeti.models import isotropic
 here = Path(__file__).parent
 results = Path("results")
 comm = MPI.COMM_WORLD
+(largest,) = map(float, sys.argv[1:] or [60])
 
 # ## Mesh
 #
@@ -115,7 +118,7 @@ for k, bolt in enumerate(bolts, start=first):
 
 # ## Pulling
 
-loads = 1e3 * np.array([0.0, 15.0, 30.0, 45.0, 60.0])
+loads = 1e3 * np.arange(0.0, largest + 1.0, 15.0)
 pulled = []
 for load in loads:
     pull.value = load

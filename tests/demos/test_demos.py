@@ -140,7 +140,7 @@ def test_load_steps(demo):
 
 
 @pytest.mark.once
-@also_short("20")
+@also_short("15")
 def test_impact_of_bars(demo):
     """Time, pressure and velocities by the waves of one dimension; energy is kept, or made."""
     c, L = demo["c"], demo["L"]
@@ -269,6 +269,7 @@ def test_bearing_sector(demo):
 
 
 @pytest.mark.once
+@also_short("15")
 def test_flange(demo):
     """The last bolt has the force of the wrench; the gasket leaves the others more than that."""
     force, history = demo["preload"], demo["history"]
