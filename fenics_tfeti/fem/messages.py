@@ -52,22 +52,28 @@ class WrongPoints(NamedTuple):
 
     number: int
     place: str
-    contact: int = 0  # the first contact that has any; those of others are not counted
+    contact: int  # the first contact that has any; those of others are not counted
+    name: str  # of the contact
 
 
 def first_wrong(
-    comm: MPI.Intracomm, wrong: Mask, points: Vector, contact: Numbers | None = None
+    comm: MPI.Intracomm,
+    wrong: Mask,
+    points: Vector,
+    contact: Numbers | None = None,
+    names: Sequence[str] = ("",),
 ) -> WrongPoints | None:
     """Return what is wrong at points (k, gdim) [m] of all ranks, of the first such contact (k,)."""
     of_points = np.zeros(len(points), dtype=np.int64) if contact is None else contact
     bad = concatenate_ranks(comm, np.column_stack([of_points, points])[wrong])
     if not len(bad):
         return None
-    first = bad[:, 0].min()
+    first = int(bad[:, 0].min())
     bad = bad[bad[:, 0] == first, 1:]
     size = float(np.abs(points[of_points == first]).max(initial=0.0))
     size = comm.allreduce(size, MPI.MAX)
-    return WrongPoints(len(bad), format_point(bad[coordinate_order(bad)[0]], size), int(first))
+    place = format_point(bad[coordinate_order(bad)[0]], size)
+    return WrongPoints(len(bad), place, first, names[first])
 
 
 def first_mesh_point(domain: Mesh, points: Vector) -> str:

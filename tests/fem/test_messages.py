@@ -20,13 +20,14 @@ def test_order_is_by_the_first_coordinate_then_by_the_second():
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 0, 3, 1]])
 def test_first_wrong_place_does_not_depend_on_the_order(order):
     points = POINTS[order]
-    assert first_wrong(MPI.COMM_SELF, points[:, 1] != 3.0, points) == (3, "(0, 5)", 0)
+    assert first_wrong(MPI.COMM_SELF, points[:, 1] != 3.0, points) == (3, "(0, 5)", 0, "")
 
 
 def test_first_wrong_of_the_first_contact_that_has_any():
     wrong = np.array([True, False, True, True])
     contact = np.array([2, 0, 1, 1])
-    assert first_wrong(MPI.COMM_SELF, wrong, POINTS, contact) == (2, "(0, 5)", 1)
+    bad = first_wrong(MPI.COMM_SELF, wrong, POINTS, contact, ["joint", "rail"])
+    assert bad == (2, "(0, 5)", 1, "rail")
 
 
 def test_nothing_wrong_is_none():

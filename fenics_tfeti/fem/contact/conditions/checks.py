@@ -16,22 +16,12 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_vertices
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Mask, Vector
-
-
-def check_separate(slave: Surface, shared: Mask, names: Sequence[str], remedy: str) -> None:
-    """Check that none of the slave's nodes (k,) is one of the master. Collective."""
-    if bad := first_wrong(slave.comm, shared, slave.points, slave.contact):
-        raise InputError(
-            f"{names[bad.contact]}: slave and master share {bad.number} nodes, the first at "
-            f"{bad.place}. {remedy}"
-        )
+from fenics_tfeti.typing import Vector
 
 
 def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
@@ -75,11 +65,12 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body_of_node = nodes.sum_at_owners(nodes.to_global(in_cells), body[in_cells], np.maximum)
     of_ends = size[nodes.values_at(body_of_node, np.stack([slave, master]))]
     thickness = np.sum(np.abs(normal) * of_ends, axis=2).min(axis=0)
-    if bad := first_wrong(comm, -gap > thickness, points[:, :gdim], contact):
+    names = [pairing.name for pairing in pairings]
+    if bad := first_wrong(comm, -gap > thickness, points[:, :gdim], contact, names):
         deepest = -comm.allreduce(float(gap[contact == bad.contact].min(initial=0.0)), MPI.MIN)
         raise InputError(
-            f"{pairings[bad.contact].name}: {bad.number} slave nodes are deeper in the master than "
-            f"one of the bodies is thick, by up to {deepest:.3g}, the first at {bad.place}. "
+            f"{bad.name}: {bad.number} slave nodes are deeper in the master than one of the bodies "
+            f"is thick, by up to {deepest:.3g}, the first at {bad.place}. "
             "Surfaces that touch face each other: is one of the tags on the far side of its body?"
         )
 

@@ -133,7 +133,7 @@ def _deformed_mortar(
         master.check_not_folded(name)
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = match_by_mortar(
-        [name], contact, deformed, master, shared, prescribed, pairing.slave, displacement
+        contact, deformed, master, shared, prescribed, pairing.slave, displacement
     )
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(

@@ -10,7 +10,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.checks import check_separate
 from fenics_tfeti.fem.contact.conditions.pairing import Conditions, JoinedPairs, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.partners import (
@@ -77,43 +76,43 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
 
     Several contacts have the nearest nodes as partners.
     """
-    names, slave, master = pairs.names, pairs.slave, pairs.master.gathered_nodes()
+    slave, master = pairs.slave, pairs.master.gathered_nodes()
     shared = shared_nodes(pairs, master.nodes)
     master = master.without(shared)
 
-    partners = find_partners(how, slave, master, names[0])
+    partners = find_partners(how, slave, master)
     partners.distance[np.isin(slave.nodes, shared)] = np.inf
     limit = how.tolerance * slave.size
     _check_partners(pairs, partners, limit)
-    paired = partners.distance <= limit
+    paired = np.flatnonzero(partners.distance <= limit)
     partner, contact, normal = partners.master[paired], slave.contact[paired], slave.normal[paired]
     _check_one_to_one(pairs, master, partner)
 
     angle = angles_between(normal, -master.normal[partner])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    if bad := first_wrong(slave.comm, angle > 120.0, slave.points[paired], contact):
+    if bad := slave.first_wrong(angle > 120.0, paired):
         raise InputError(
-            f"{names[bad.contact]}: slave and master look the same way at {bad.number} nodes, the "
-            f"first at {bad.place}: the outward normals of surfaces that touch point against each "
-            "other. Is one of the tags on the far side of its body?"
+            f"{bad.name}: slave and master look the same way at {bad.number} nodes, the first at "
+            f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
+            "one of the tags on the far side of its body?"
         )
     images = np.full_like(slave.points, np.nan)
     images[paired] = master.points[partner]
     at_corners = slave.at_corners(images)
-    _check_not_crossed(pairs, at_corners)
+    _check_not_crossed(slave, at_corners)
     covered = np.isfinite(at_corners).all(axis=(1, 2))
     chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
     return Conditions(
         Terms.of_nodes(slave.nodes[paired], master.nodes[partner]),
         normal,
         (images - slave.points)[paired],
-        slave.areas(covered, names)[paired],
+        slave.areas(covered)[paired],
         (slave.share_of_area(covered) / slave.area)[paired],
         # the nodes of both surfaces are on the curved one, up to their chords
         2.0 * slave.max_of_facets(chords)[paired],
         angle,
         covered,
-        np.bincount(contact, slave.area[paired], len(names)),
+        np.bincount(contact, slave.area[paired], len(slave.names)),
         distance=slave.without_rounding(partners.distance[paired], contact),
     )
 
@@ -127,7 +126,7 @@ def shared_nodes(pairs: JoinedPairs, master: Numbers) -> Numbers:
     is_shared = np.isin(slave.nodes, master)
     shared, total = slave.counts(slave.contact[is_shared], pairs.master.contact)
     may_share = pairs.partial & (shared < total)
-    check_separate(slave, is_shared & ~may_share[slave.contact], pairs.names, _SEPARATE)
+    slave.check_separate(is_shared & ~may_share[slave.contact], _SEPARATE)
     if not shared.any():
         return np.zeros(0, dtype=np.int64)
     return concatenate_ranks(slave.comm, slave.nodes[is_shared])
@@ -143,9 +142,7 @@ class Partners:
     remedy: str  # what to do if it is too large
 
 
-def find_partners(
-    partners: NodePartners, slave: Surface, master: SurfaceNodes, name: str
-) -> Partners:
+def find_partners(partners: NodePartners, slave: Surface, master: SurfaceNodes) -> Partners:
     """Find the partner of each slave node in the way that the user chose. Collective."""
     match partners:
         case Nearest():
@@ -155,18 +152,18 @@ def find_partners(
             measure = "along the surface to the nearest master node"
             return Partners(partner, distance, measure, _REMEDY[0].upper() + _REMEDY[1:])
         case Mapped(mapping):
-            label, gdim = f"the mapping of {name}", slave.normal.shape[1]
+            label, gdim = f"the mapping of {slave.names[0]}", slave.normal.shape[1]
             images = vectors_at(slave.comm, mapping, slave.coordinates, gdim, label)
             distance, partner = _nearest_points(master.points, images)
             measure = "from the mapped place to the nearest master node"
             return Partners(partner, distance, measure, f"Correct the mapping, {_REMEDY}")
         case Along():
-            return _along(slave, master, partners, name)
+            return _along(slave, master, partners)
         case Points():
-            return _at_points(slave, master, partners, name)
+            return _at_points(slave, master, partners)
 
 
-def _along(slave: Surface, master: SurfaceNodes, along: Along, name: str) -> Partners:
+def _along(slave: Surface, master: SurfaceNodes, along: Along) -> Partners:
     """Pair each slave node with the master node nearest to a line through it. Collective.
 
     Only master nodes whose normals point against the slave node's are candidates. If the line meets
@@ -174,7 +171,7 @@ def _along(slave: Surface, master: SurfaceNodes, along: Along, name: str) -> Par
     the direction; the tolerance is relative to the size of the slave's facets.
     """
     gdim = slave.normal.shape[1]
-    label, reach = f"the direction of {name}", along.tolerance * slave.size
+    label, reach = f"the direction of {slave.names[0]}", along.tolerance * slave.size
     lines = unit_vectors(slave.comm, along.direction, slave.coordinates, gdim, label)
     row, node = _near_lines(slave.points, lines, reach, master.points)
     row, node = _chosen(np.sum(slave.normal[row] * master.normal[node], axis=1) < 0.0, row, node)
@@ -208,9 +205,9 @@ def _along(slave: Surface, master: SurfaceNodes, along: Along, name: str) -> Par
     )
 
 
-def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points, name: str) -> Partners:
+def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points) -> Partners:
     """Pair the nodes at the user's points, which are the same on all ranks. Collective."""
-    comm, gdim = slave.comm, slave.normal.shape[1]
+    comm, name, gdim = slave.comm, slave.names[0], slave.normal.shape[1]
     slave_points, master_points = (
         np.asarray(points, dtype=float)[:, :gdim] for points in (pairs.slave, pairs.master)
     )
@@ -318,7 +315,7 @@ def _check_partners(pairs: JoinedPairs, partners: Partners, limit: Vector) -> No
     )
     free = "" if partial[k] else ", or leave these nodes free by partial=True"
     raise InputError(
-        f"{pairs.names[k]}: {missing[k]} of {total[k]} slave nodes have no partner: {places}. "
+        f"{slave.names[k]}: {missing[k]} of {total[k]} slave nodes have no partner: {places}. "
         f"{measure}{partners.remedy}{free}"
     )
 
@@ -327,23 +324,24 @@ def _check_one_to_one(pairs: JoinedPairs, master: SurfaceNodes, partner: Numbers
     """Check that no two slave nodes have the same partner, which are nodes of the master."""
     of_all = concatenate_ranks(pairs.slave.comm, partner)
     number = np.bincount(of_all, minlength=len(master.points))
-    if bad := first_wrong(MPI.COMM_SELF, number > 1, master.points, master.contact):
+    names = pairs.slave.names
+    if bad := first_wrong(MPI.COMM_SELF, number > 1, master.points, master.contact, names):
         lower = "Lower the tolerance, so that some of them stay free; or exchange"
         raise InputError(
-            f"{pairs.names[bad.contact]}: {bad.number} master nodes are each the partner of "
-            f"several slave nodes, the first at {bad.place}; the mapping has to be one to one. "
+            f"{bad.name}: {bad.number} master nodes are each the partner of several slave nodes, "
+            f"the first at {bad.place}; the mapping has to be one to one. "
             f"{lower if pairs.partial[bad.contact] else 'Exchange'} slave and master, or mesh the "
             "surfaces alike"
         )
 
 
-def _check_not_crossed(pairs: JoinedPairs, images: Vector) -> None:
+def _check_not_crossed(slave: Surface, images: Vector) -> None:
     """Check that neighbouring slave nodes have their partners in the same order along the surface.
 
     The images (f, v, gdim) are the coordinates of the partners of the corners of this rank's
     facets, NaN where there is none.
     """
-    slave, v = pairs.slave, images.shape[1]
+    v = images.shape[1]
     edges = np.array([(k, (k + 1) % v) for k in range(v if v > 2 else 1)])
     ends, normals, partners = (
         at_corners[:, edges]
@@ -358,9 +356,9 @@ def _check_not_crossed(pairs: JoinedPairs, images: Vector) -> None:
     turned = np.sum(edge * tangential_part(image, normal), axis=2) < -RELATIVE_ROUNDING * product
     crossed = turned.any(axis=1)
     middles = slave.corners.mean(axis=1)
-    if bad := first_wrong(slave.comm, crossed, middles, slave.facet_contact):
+    if bad := first_wrong(slave.comm, crossed, middles, slave.facet_contact, slave.names):
         raise InputError(
-            f"{pairs.names[bad.contact]}: pairs cross on {bad.number} facets of the slave, the "
-            f"first around {bad.place}: neighbours there have partners that lie in the opposite "
-            "order. Correct the points, mapping or direction, or lower the tolerance"
+            f"{bad.name}: pairs cross on {bad.number} facets of the slave, the first around "
+            f"{bad.place}: neighbours there have partners that lie in the opposite order. Correct "
+            "the points, mapping or direction, or lower the tolerance"
         )

@@ -39,7 +39,7 @@ def match_obstacle(
     the deformed surface alone, and conditions are wherever it may be met later.
     """
     tags, tag = contact.facet_tags, contact.slave
-    slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, f"slave of {name}")
+    slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, name, "slave")
     comm, is_linear = slave.comm, boundary.degree == 1
     covered = np.ones(len(slave.facet_nodes), dtype=bool)
     terms, facets = Terms.of_nodes(slave.nodes), None if is_linear else slave.oriented_part()
@@ -53,9 +53,9 @@ def match_obstacle(
             covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
         terms = one_sided_conditions(slave, facets, covered)
         if facets.weight is not None:
-            slave.check_weight(terms.scale, np.searchsorted(slave.nodes, terms.slave), [name])
-    rows = np.searchsorted(slave.nodes, terms.slave)
-    area = slave.areas(covered, [name]) if is_linear else terms.scale
+            slave.check_weight(terms.scale, slave.rows_of(terms.slave))
+    rows = slave.rows_of(terms.slave)
+    area = slave.areas(covered) if is_linear else terms.scale
     if displacement is None:
         places, facing = slave.coordinates[rows], slave.normal[rows]
         gap, outward = gap_and_normal(comm, contact.obstacle, places, facing, name)
@@ -71,11 +71,11 @@ def match_obstacle(
         normal, _, gap, facing = deformed_gaps(comm, contact, name, whole, terms)
     of_rows, angle = slave.contact[rows], angles_between(facing, normal)
     gap = slave.without_rounding(gap, of_rows)
-    summaries = pairing_summaries(
+    (summary,) = pairing_summaries(
         comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
     )
     coverage = np.ones_like(gap)
-    return ContactPairing(terms, normal, gap, area, summaries, slave, covered, coverage)
+    return ContactPairing(terms, normal, gap, area, summary, slave, covered, coverage)
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, rows_of_terms, terms_of_slaves
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
@@ -47,12 +48,16 @@ class Terms:
         columns = zip(*((p.nodes, p.weights, p.slaves) for p in parts), strict=True)
         return Terms(np.append(0, np.cumsum(number)), *map(np.concatenate, columns))
 
-    def of_rows(self, first: int, end: int) -> Terms:
-        """Return consecutive rows."""
-        offsets = self.offsets[first : end + 1]
-        terms = slice(offsets[0], offsets[-1])
-        slaves = self.slaves[first:end]
-        return Terms(offsets - offsets[0], self.nodes[terms], self.weights[terms], slaves)
+    def split(self, ends: Numbers) -> list[Terms]:
+        """Return consecutive rows, from each of the ends up to the next."""
+        parts = []
+        for first, end in pairwise(ends):
+            offsets, slaves = self.offsets[first : end + 1], self.slaves[first:end]
+            terms = slice(offsets[0], offsets[-1])
+            parts.append(
+                Terms(offsets - offsets[0], self.nodes[terms], self.weights[terms], slaves)
+            )
+        return parts
 
     @cached_property
     def row(self) -> Numbers:
@@ -108,7 +113,6 @@ class Terms:
 class JoinedPairs:
     """The surfaces of several pairs as one slave and one master, whose nodes are `ContactNodes`."""
 
-    names: Sequence[str]
     contacts: Sequence[ContactPair]
     slave: Surface
     master: Surface
@@ -144,9 +148,6 @@ class Conditions:
 class ContactPairing:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
-    They are those of one contact, or while they are found those of several, one by one, whose nodes
-    are `ContactNodes`.
-
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
     area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
     where the node has such facets; of a mortar condition the integral of its dual function over the
@@ -157,7 +158,7 @@ class ContactPairing:
     normal: Vector  # outward unit normals of the slave (k, gdim)
     gap: Vector  # (k,) [m]; infinite where there is no obstacle
     area: Vector  # (k,) [m^2 or m]
-    summaries: list[dict[str, Any]]  # of each contact the entry of `Report.pairing`
+    summary: dict[str, Any]  # the contact's entry of `Report.pairing`
     surface: Surface  # all of the slave's surface
     covered: Mask  # (f,): whether the surface's facets have partners at all nodes
     coverage: Vector  # (k,), see `ContactResult`
@@ -166,37 +167,9 @@ class ContactPairing:
     master_surface: Surface | None = None  # None for obstacles
 
     @property
-    def summary(self) -> dict[str, Any]:
-        """The entry of one contact in `Report.pairing`."""
-        (summary,) = self.summaries
-        return summary
-
-    @property
     def name(self) -> str:
-        """The name of one contact."""
-        name: str = self.summary["contact"]
-        return name
-
-    def separated(self, boundary: MeshBoundary) -> list[ContactPairing]:
-        """Return the conditions of each contact, with the nodes of the mesh. Collective."""
-        copies, count = self.surface.boundary.nodes, len(self.summaries)
-        numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
-        terms = replace(self.terms, nodes=copies.values_at(numbers, self.terms.nodes))
-        of_rows = self.surface.contact[self.on_surface]
-        ends = np.searchsorted(of_rows, np.arange(count + 1))
-        columns = [
-            [terms.of_rows(*rows) for rows in zip(ends[:-1], ends[1:], strict=True)],
-            *(split(of_rows, values, count) for values in (self.normal, self.gap, self.area)),
-            [[summary] for summary in self.summaries],
-            self.surface.separated(boundary),
-            split(self.surface.facet_contact, self.covered, count),
-            split(of_rows, self.coverage, count),
-            split(self.surface.contact, self.prescribed, count),
-            [None] * count
-            if self.master_surface is None
-            else self.master_surface.separated(boundary),
-        ]
-        return list(map(ContactPairing, *columns))
+        """The name of the contact."""
+        return self.surface.names[0]
 
     @property
     def is_mortar(self) -> bool:
@@ -222,7 +195,7 @@ class ContactPairing:
     @cached_property
     def on_surface(self) -> Numbers:
         """The positions of the slave's nodes among those of the surface, (k,)."""
-        return np.searchsorted(self.surface.nodes, self.slave)
+        return self.surface.rows_of(self.slave)
 
     @property
     def coordinates(self) -> Vector:

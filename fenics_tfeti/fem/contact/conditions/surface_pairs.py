@@ -30,11 +30,12 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
+    split,
     surface_of,
     tagged_facets,
 )
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
+from fenics_tfeti.fem.nodes import ContactNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers
@@ -86,7 +87,7 @@ def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, Con
         master = gather_nearby(pairs.master, slave)
         shared = shared_nodes(pairs, master.nodes)
         with raise_collectively(slave.comm):
-            master.check_not_folded(*pairs.names)
+            master.check_not_folded(*slave.names)
         match = np.array([contact.partners is None for contact in contacts])
         match &= boundary.degree == 1
         if match.any():
@@ -104,12 +105,8 @@ def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, Con
     else:
         prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
         none = np.zeros(0, dtype=np.int64)
-        found = match_by_mortar(pairs.names, contacts[0], slave, master, shared, prescribed, none)
-    pairing = _pairing(pairs, found, prescribed)
-    if contacts[0].normal is None:
-        normal = without_axial_tilt(slave, found.terms.slave, found.normal)
-        pairing = replace(pairing, normal=normal)
-    return dict(zip(parts, pairing.separated(boundary), strict=True))
+        found = match_by_mortar(contacts[0], slave, master, shared, prescribed, none)
+    return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
 
 
 def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
@@ -124,7 +121,7 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
     )
     joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
     slave, master = (
-        surface_of(joined, part, [f"{role} of {name}" for name in names], normal)
+        surface_of(joined, part, names, role, normal)
         for role, part, normal in zip(
             ("slave", "master"),
             np.split(nodes.facet_nodes, [sum(sizes[: len(names)])]),
@@ -132,11 +129,10 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
             strict=True,
         )
     )
-    return JoinedPairs(names, contacts, slave, master)
+    return JoinedPairs(contacts, slave, master)
 
 
 def match_by_mortar(
-    names: Sequence[str],
     contact: ContactPair,
     slave: Surface,
     master: SurfaceFacets,
@@ -154,18 +150,20 @@ def match_by_mortar(
         slave = replace(slave, normal=normals_in_symmetry_planes(slave, prescribed))
     facets = slave.oriented_part(displacement)
     if displacement is None:
-        check_folds(slave.boundary.nodes, facets, names)
+        check_folds(slave, facets)
     found = mortar_conditions(slave, facets, master, shared, prescribed, before)
-    check_covered(found, slave, names)
+    check_covered(found, slave)
     if facets.weight is not None:
-        slave.check_weight(found.area, np.searchsorted(slave.nodes, found.terms.slave), names)
+        slave.check_weight(found.area, slave.rows_of(found.terms.slave))
     return found
 
 
-def _pairing(pairs: JoinedPairs, found: Conditions, prescribed: Mask | None) -> ContactPairing:
-    """Return conditions with their initial gaps, and in numbers for the report. Collective."""
-    names, slave, comm = pairs.names, pairs.slave, pairs.slave.comm
-    rows = np.searchsorted(slave.nodes, found.terms.slave)
+def _pairings(
+    boundary: MeshBoundary, pairs: JoinedPairs, found: Conditions, prescribed: Mask | None
+) -> list[ContactPairing]:
+    """Return the conditions of each pair, with initial gaps and the mesh's nodes. Collective."""
+    slave, names, comm = pairs.slave, pairs.slave.names, pairs.slave.comm
+    rows = slave.rows_of(found.terms.slave)
     contact, places = slave.contact[rows], slave.coordinates[rows]
     gap = slave.without_rounding(np.sum(found.gap * found.normal, axis=1), contact)
     gap = initial_gaps(comm, pairs.contacts, contact, gap, found.chord, places, names)
@@ -189,40 +187,45 @@ def _pairing(pairs: JoinedPairs, found: Conditions, prescribed: Mask | None) -> 
             summary.update(deviation=None, blurred=None)
         if prescribed is not None:
             summary.update(slave=pair.slave, master=pair.master)
-    return ContactPairing(
-        found.terms,
-        found.normal,
-        gap,
-        found.area,
+    normal = found.normal
+    if pairs.contacts[0].normal is None:
+        normal = without_axial_tilt(slave, found.terms.slave, normal)
+    copies, count = slave.boundary.nodes, len(names)
+    numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
+    terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
+    columns = [
+        terms.split(np.searchsorted(contact, np.arange(count + 1))),
+        *(split(contact, values, count) for values in (normal, gap, found.area)),
         summaries,
-        slave,
-        found.covered,
-        found.coverage,
-        prescribed,
-        pairs.master,
-    )
+        slave.separated(boundary),
+        split(slave.facet_contact, found.covered, count),
+        split(contact, found.coverage, count),
+        split(slave.contact, prescribed, count),
+        pairs.master.separated(boundary),
+    ]
+    return list(map(ContactPairing, *columns))
 
 
-def check_covered(conditions: Conditions, slave: Surface, names: Sequence[str]) -> None:
+def check_covered(conditions: Conditions, slave: Surface) -> None:
     """Check that the masters cover a part of each slave, and more than slivers. Collective."""
-    on_surface = np.searchsorted(slave.nodes, conditions.terms.slave)
+    on_surface = slave.rows_of(conditions.terms.slave)
     facets, rows = slave.counts(slave.facet_contact[conditions.covered], slave.contact[on_surface])
     for contact in np.flatnonzero(facets == 0)[:1]:
         raise InputError(
-            f"{names[contact]}: no facet of the slave has a facet of the master opposite it: along "
-            "the normals the surfaces never meet, or they face away from each other. Surfaces that "
-            "touch face each other: is one of the tags on the far side of its body, or on another "
-            "body?"
+            f"{slave.names[contact]}: no facet of the slave has a facet of the master opposite it: "
+            "along the normals the surfaces never meet, or they face away from each other. "
+            "Surfaces that touch face each other: is one of the tags on the far side of its body, "
+            "or on another body?"
         )
-    if bad := first_wrong(slave.comm, rows[slave.contact] == 0, slave.points, slave.contact):
+    if bad := slave.first_wrong(rows[slave.contact] == 0):
         raise InputError(
-            f"{names[bad.contact]}: the master covers slivers of {facets[bad.contact]} slave "
+            f"{bad.name}: the master covers slivers of {facets[bad.contact]} slave "
             f"facets only, too little for any of the {bad.number} slave nodes, the first at "
             f"{bad.place}. Tag surfaces that lie over each other, not ones that meet at an edge"
         )
 
 
-def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, names: Sequence[str]) -> None:
+def check_folds(surface: Surface, slave: SurfaceFacets) -> None:
     """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
     corners, points = slave.facets.pieces, slave.points
     normal = Planes.of(slave.facets.coordinates()).normal
@@ -231,16 +234,16 @@ def check_folds(all_nodes: NodeMap, slave: SurfaceFacets, names: Sequence[str]) 
     middle = points[ends].mean(axis=2).reshape(-1, gdim)
     edges = np.sort(slave.nodes[ends.reshape(-1, 2)], axis=1)
     of_edges = np.repeat(slave.facets.contact_of(corners[:, 0]), v)
-    columns = all_nodes.to_owners(
+    columns = surface.boundary.nodes.to_owners(
         edges[:, 0], edges[:, 1], middle, np.repeat(normal, v, axis=0), of_edges
     )
     order = np.lexsort((columns[1], columns[0]))
     low, high, middle, normal, contact = (column[order] for column in columns)
     same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
     folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
-    if bad := first_wrong(all_nodes.comm, folded, middle[1:], contact[1:]):
+    if bad := first_wrong(surface.comm, folded, middle[1:], contact[1:], surface.names):
         raise InputError(
-            f"{names[bad.contact]}: the slave's surface is folded by more than 90 degrees at "
+            f"{bad.name}: the slave's surface is folded by more than 90 degrees at "
             f"{bad.number} edges, the first at {bad.place}. Tag the two sides of a sharp edge as "
             "surfaces of two contacts, or make the other surface the slave"
         )

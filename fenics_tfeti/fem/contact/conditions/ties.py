@@ -14,7 +14,6 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.checks import check_separate
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
@@ -128,10 +127,8 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
     master = gather_nearby(tagged_master, slave)
     with raise_collectively(comm):
         master.check_not_folded(name)
-    check_separate(
-        slave,
+    slave.check_separate(
         np.isin(slave.nodes, master.nodes),
-        [name],
         "Surfaces that share nodes are one already: leave the pair out, or give each part nodes of "
         "its own by fenics_tfeti.io.split_interfaces",
     )
@@ -140,12 +137,12 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
     # nodes where a component is prescribed have no condition for it
     sizes = [comm.allreduce(part.terms.slave.size) for part in conditions]
     fullest = conditions[int(np.argmax(sizes))]
-    check_covered(fullest, slave, [name])
-    rows = np.searchsorted(slave.nodes, fullest.terms.slave)
+    check_covered(fullest, slave)
+    rows = slave.rows_of(fullest.terms.slave)
     # farther apart than facets are large, rotations would be held
     distance = np.linalg.norm(fullest.gap, axis=1)
     largest = concatenate_ranks(comm, distance).max(initial=0.0)
-    if bad := first_wrong(comm, distance > 0.5 * slave.size[rows], slave.points[rows]):
+    if bad := slave.first_wrong(distance > 0.5 * slave.size[rows], rows):
         raise InputError(
             f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
             f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
@@ -179,7 +176,7 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
 def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Surface, Surface]:
     """Return the slave and the master of a pair. Collective."""
     slave, master = (
-        tagged_surface(boundary, pair.facet_tags, tag, f"{role} of {name}")
+        tagged_surface(boundary, pair.facet_tags, tag, name, role)
         for role, tag in (("slave", pair.slave), ("master", pair.master))
     )
     return slave, master
@@ -201,7 +198,7 @@ class _Match:
         surface = self.surface
         contact = np.zeros(self.nodes.size, dtype=np.int64)
         distance = surface.without_rounding(self.distance, contact)
-        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool), [name])
+        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool))
         area = np.full(self.nodes.size, np.nan)
         area[np.searchsorted(self.nodes, surface.nodes)] = whole
         (summary,) = pairing_summaries(
@@ -322,10 +319,8 @@ def _matched(
     slave, tagged_master = _surfaces(boundary, pair, name)
     master = tagged_master.gathered()
     if isinstance(pair, BoltPreload):
-        check_separate(
-            slave,
+        slave.check_separate(
             np.isin(slave.nodes, master.nodes),
-            [name],
             "The cut does not go through the shank: extend the facets that "
             "fenics_tfeti.io.split_interfaces opens to its surface",
         )
@@ -393,9 +388,7 @@ def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
                     "dimension than the mesh; it has to go through the cut"
                 )
         return axis if axis @ normal > 0.0 else -axis
-    if bad := first_wrong(
-        surface.comm, np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE, surface.points
-    ):
+    if bad := surface.first_wrong(np.linalg.norm(surface.normal - normal, axis=1) > SAME_PLACE):
         raise InputError(
             f"{name}: the cut is not plane, at {bad.number} nodes its normals are not the mean one "
             f"{np.round(normal, 4).tolist()}, the first at {bad.place}. Cut the shank by a plane, "

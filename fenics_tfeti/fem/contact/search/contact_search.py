@@ -330,4 +330,4 @@ def _refreshed(pair: NamedPair, old: ContactPairing) -> ContactPairing:
         old = replace(old, gap=gap)
     if surface.boundary.weight is None:
         return old
-    return replace(old, area=surface.areas(old.covered, [name])[old.on_surface])
+    return replace(old, area=surface.areas(old.covered)[old.on_surface])

@@ -25,7 +25,7 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.messages import coordinate_order, first_wrong
+from fenics_tfeti.fem.messages import WrongPoints, coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
@@ -92,6 +92,8 @@ class Surface:
     """
 
     boundary: MeshBoundary
+    names: Sequence[str]  # of the contacts
+    role: str  # "slave" or "master"; empty if the name is that of the surface
     nodes: Numbers  # global nodes of the displacement's space at the vertices of facets (k,)
     normal: Vector  # outward unit normals (k, gdim)
     area: Vector  # (k,): turns a uniform pressure into the normal force, without weight [m^2 or m]
@@ -103,6 +105,11 @@ class Surface:
     def comm(self) -> MPI.Intracomm:
         """The ranks."""
         return self.boundary.nodes.comm
+
+    @property
+    def labels(self) -> list[str]:
+        """What messages call the surface of each contact."""
+        return [f"{self.role} of {name}" if self.role else name for name in self.names]
 
     @cached_property
     def local(self) -> Numbers:
@@ -146,9 +153,25 @@ class Surface:
 
     def counts(self, *of_contacts: Numbers) -> Array:
         """Return how often each contact is among those of each array (q,). Collective."""
-        counts = [np.bincount(contact, minlength=len(self.extent)) for contact in of_contacts]
+        counts = [np.bincount(contact, minlength=len(self.names)) for contact in of_contacts]
         total: Array = self.comm.allreduce(np.array(counts))
         return total
+
+    def rows_of(self, nodes: Numbers) -> Numbers:
+        """Return the positions (q,) of some of its nodes."""
+        return np.searchsorted(self.nodes, nodes)
+
+    def first_wrong(self, wrong: Mask, rows: Numbers | slice = slice(None)) -> WrongPoints | None:
+        """Return what is wrong at all or some of the nodes, see `first_wrong`. Collective."""
+        return first_wrong(self.comm, wrong, self.points[rows], self.contact[rows], self.names)
+
+    def check_separate(self, master: Mask, remedy: str) -> None:
+        """Check that none of the nodes (k,) is one of the master. Collective."""
+        if bad := self.first_wrong(master):
+            raise InputError(
+                f"{bad.name}: slave and master share {bad.number} nodes, the first at {bad.place}. "
+                f"{remedy}"
+            )
 
     def without_rounding(self, lengths: Vector, contact: Numbers) -> Vector:
         """Set lengths (q,) [m] to zero that are no more than the rounding of coordinates."""
@@ -186,25 +209,24 @@ class Surface:
         area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
         return area
 
-    def check_weight(self, weighted: Vector, rows: Numbers | slice, names: Sequence[str]) -> None:
+    def check_weight(self, weighted: Vector, rows: Numbers | slice = slice(None)) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
-        mean, points = weighted / self.area[rows], self.points[rows]
-        contact = self.contact[rows]
-        if bad := first_wrong(self.comm, ~np.isfinite(mean), points, contact):
+        mean, contact = weighted / self.area[rows], self.contact[rows]
+        if bad := self.first_wrong(~np.isfinite(mean), rows):
             raise InputError(
-                f"slave of {names[bad.contact]}: measure_weight is NaN or infinite around "
+                f"{self.labels[bad.contact]}: measure_weight is NaN or infinite around "
                 f"{bad.number} nodes, the first at {bad.place}"
             )
-        largest = extremes(self.comm, np.abs(mean), contact, len(self.extent), 0.0)[contact]
-        if bad := first_wrong(self.comm, mean <= RELATIVE_ROUNDING * largest, points, contact):
+        largest = extremes(self.comm, np.abs(mean), contact, len(self.names), 0.0)[contact]
+        if bad := self.first_wrong(mean <= RELATIVE_ROUNDING * largest, rows):
             raise InputError(
-                f"slave of {names[bad.contact]}: measure_weight is negative or zero around "
+                f"{self.labels[bad.contact]}: measure_weight is negative or zero around "
                 f"{bad.number} nodes, "
                 f"the first at {bad.place}: as the factor of ds it has to be positive there. Has "
                 "the mesh nodes of negative radius, or is a surface on the axis tagged?"
             )
 
-    def areas(self, covered: Mask, names: Sequence[str]) -> Vector:
+    def areas(self, covered: Mask) -> Vector:
         """Return each node's area on covered facets, or all of it where it has none. Collective.
 
         The areas are (k,) [m^2 or m], times the weight of the measure; `covered` (f,) are the
@@ -213,7 +235,7 @@ class Surface:
         area, weight = self.area, self.boundary.nodal_weight()
         if weight is not None:
             area = self.share_of_area(np.ones_like(covered), weight)
-            self.check_weight(area, slice(None), names)
+            self.check_weight(area)
         if self.comm.allreduce(bool(covered.all()), MPI.LAND):
             return area
         covered_area = self.share_of_area(covered, weight)
@@ -260,12 +282,15 @@ class Surface:
     def separated(self, boundary: MeshBoundary) -> list[Surface]:
         """Return the surface of each contact, in the numbers of the mesh's boundary."""
         originals = self.boundary.nodes.copied(np.arange(boundary.nodes.size))
-        numbers, count = boundary.nodes.first + originals[self.local], len(self.extent)
+        numbers, count = boundary.nodes.first + originals[self.local], len(self.names)
         at_nodes = (numbers, self.normal, self.area, self.size)
         columns = [split(self.contact, values, count) for values in at_nodes]
         facet_nodes = originals[self.facet_nodes].astype(np.int32)
         columns += [split(self.facet_contact, facet_nodes, count), np.split(self.extent, count)]
-        return [Surface(boundary, *of_contact) for of_contact in zip(*columns, strict=True)]
+        return [
+            Surface(boundary, [name], self.role, *of_contact)
+            for name, *of_contact in zip(self.names, *columns, strict=True)
+        ]
 
     def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
@@ -311,15 +336,17 @@ def tagged_surface(
     boundary: MeshBoundary,
     facet_tags: Any,
     tag: int,
-    label: str,
+    name: str,
+    role: str = "",
     user_normal: VectorField | None = None,
 ) -> Surface:
     """Find the nodes of a tagged surface, this rank's part. Collective.
 
-    `label` is its name in messages. By default normals are area-weighted averages of the facets'.
+    By default normals are area-weighted averages of the facets'.
     """
+    label = f"{role} of {name}" if role else name
     (facets,) = tagged_facets(boundary, [(facet_tags, tag, label)])
-    return surface_of(boundary, oriented_facets(boundary.space, facets), [label], user_normal)
+    return surface_of(boundary, oriented_facets(boundary.space, facets), [name], role, user_normal)
 
 
 def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]) -> list[Indices]:
@@ -340,6 +367,7 @@ def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]
                     f"{label}: facet_tags are on entities of dimension {facet_tags.dim}, facets "
                     f"have dimension {dim}"
                 )
+    labels = [label for *_, label in tagged]
     facets = [owned_facets(domain, facet_tags, tag) for facet_tags, tag, _ in tagged]
     number = np.array([part.size for part in facets])
     comm.Allreduce(MPI.IN_PLACE, number)
@@ -353,13 +381,13 @@ def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]
     places = np.zeros((every.size, domain.geometry.dim))
     places[inside] = middles[:, : domain.geometry.dim]
     of_facets = np.repeat(np.arange(len(tagged)), [part.size for part in facets])
-    if bad := first_wrong(comm, inside, places, of_facets):
-        _, tag, label = tagged[bad.contact]
+    if bad := first_wrong(comm, inside, places, of_facets, labels):
         raise InputError(
-            f"{label}: {bad.number} of the {number[bad.contact]} facets with tag {tag} are inside "
-            f"a body, or between bodies that share their nodes, the first around {bad.place}: only "
-            "facets on the boundary can touch. Bodies that share nodes, as Gmsh's fragment makes "
-            "them, get nodes of their own by fenics_tfeti.io.split_interfaces"
+            f"{bad.name}: {bad.number} of the {number[bad.contact]} facets with tag "
+            f"{tagged[bad.contact][1]} are inside a body, or between bodies that share their "
+            f"nodes, the first around {bad.place}: only facets on the boundary can touch. Bodies "
+            "that share nodes, as Gmsh's fragment makes them, get nodes of their own by "
+            "fenics_tfeti.io.split_interfaces"
         )
     return facets
 
@@ -367,7 +395,8 @@ def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]
 def surface_of(
     boundary: MeshBoundary,
     facet_nodes: Indices,
-    labels: Sequence[str],
+    names: Sequence[str],
+    role: str,
     user_normal: VectorField | None = None,
 ) -> Surface:
     """Return the surfaces of facets (f, t), this rank's part; see `tagged_surface`. Collective."""
@@ -384,12 +413,13 @@ def surface_of(
     sums = nodes.sum_at_owners(numbers, integrals)[local]
     size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
     none = np.zeros((0, gdim))
+    area, extent = sums[:, gdim], np.zeros(len(names))
     surface = Surface(
-        boundary, local + nodes.first, none, sums[:, gdim], size, facet_nodes, np.zeros(len(labels))
+        boundary, names, role, local + nodes.first, none, area, size, facet_nodes, extent
     )
     coordinates, contact = boundary.coordinates[local], surface.contact
-    extent = extremes(comm, np.abs(coordinates).max(axis=1), contact, len(labels), 0.0)
-    normal, area = _normals_and_areas(comm, sums[:, :gdim], surface, user_normal, labels)
+    extent = extremes(comm, np.abs(coordinates).max(axis=1), contact, len(names), 0.0)
+    normal, area = _normals_and_areas(sums[:, :gdim], surface, user_normal)
     return replace(surface, normal=normal, area=area, extent=extent)
 
 
@@ -411,27 +441,24 @@ def extremes(
 
 
 def _normals_and_areas(
-    comm: MPI.Intracomm,
-    weighted: Vector,
-    surface: Surface,
-    user_normal: VectorField | None,
-    labels: Sequence[str],
+    weighted: Vector, surface: Surface, user_normal: VectorField | None
 ) -> tuple[Vector, Vector]:
     """Return unit normals and areas (k,) from integrals of the normal and of its length."""
-    gdim, x, contact = weighted.shape[1], surface.coordinates, surface.contact
     length = np.linalg.norm(weighted, axis=1)
     minimum = VANISHING_NORMAL * surface.area
     if user_normal is None:
-        if bad := first_wrong(comm, length <= minimum, x[:, :gdim], contact):
+        if bad := surface.first_wrong(length <= minimum):
             raise InputError(
-                f"{labels[bad.contact]}: the normals of the facets around {bad.number} nodes "
-                f"cancel, the first at {bad.place}: tag one side of an edge only, or give a normal"
+                f"{surface.labels[bad.contact]}: the normals of the facets around {bad.number} "
+                f"nodes cancel, the first at {bad.place}: tag one side of an edge only, or give a "
+                "normal"
             )
         return weighted / length[:, None], length
-    (label,) = labels
-    normal = unit_vectors(comm, user_normal, x, gdim, f"the normal of the {label}")
+    (label,) = surface.labels
+    x, gdim = surface.coordinates, weighted.shape[1]
+    normal = unit_vectors(surface.comm, user_normal, x, gdim, f"the normal of the {label}")
     area = np.sum(weighted * normal, axis=1)
-    if bad := first_wrong(comm, area <= minimum, x[:, :gdim]):
+    if bad := surface.first_wrong(area <= minimum):
         raise InputError(
             f"the normal of the {label} points into the body or along its surface at {bad.number} "
             f"nodes, the first at {bad.place}: it has to point out of the slave, as the facets' do"

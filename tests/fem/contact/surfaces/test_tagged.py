@@ -49,7 +49,7 @@ def test_averaged_normals_of_a_polygon():
 
 
 def surface_of(space, tags, tag, normal=None):
-    return tagged_surface(MeshBoundary.of(space), tags, tag, "surface", normal)
+    return tagged_surface(MeshBoundary.of(space), tags, tag, "surface", user_normal=normal)
 
 
 def test_area_is_that_projected_along_a_given_normal():
@@ -162,7 +162,7 @@ def ground(degree=1, weight=None):
 def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
     boundary, surface = ground(degree, weight)
     assert (boundary.nodal_weight() is None) == (weight is None)
-    areas = surface.areas(np.ones(2, dtype=bool), "joint")
+    areas = surface.areas(np.ones(2, dtype=bool))
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], (weight or 1.0) * np.array([0.25, 0.5, 0.25]))
 
@@ -170,6 +170,6 @@ def test_areas_are_those_of_the_vertices_times_the_weight(weight, degree):
 def test_nodes_of_covered_facets_have_their_area_there():
     _, surface = ground()
     middle = surface.corners[..., 0].mean(axis=1)
-    areas = surface.areas(middle < 0.5, "joint")
+    areas = surface.areas(middle < 0.5)
     order = np.argsort(surface.points[:, 0])
     np.testing.assert_allclose(areas[order], [0.25, 0.25, 0.25])
