@@ -22,8 +22,7 @@ from fenics_tfeti.fem.contact.descriptions.partners import (
 from fenics_tfeti.fem.contact.mortar.facets import apart
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
-from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
+from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights, tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
 from fenics_tfeti.fem.messages import coordinate_order, first_distances, first_wrong
@@ -54,10 +53,8 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
     partner = tree.query(apart(slave.points, slave.contact))[1]
     offset = master.points[partner] - slave.points
     opposite = unit(slave.normal - master.normal[partner])
-    distances = [
-        np.linalg.norm(tangential_part(offset, normal), axis=1)
-        for normal in (slave.normal, master.normal[partner], opposite)
-    ]
+    normals = (slave.normal, master.normal[partner], opposite)
+    distances = [_distance_across(offset, normal) for normal in normals]
     tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
     # by global numbers: the corners of a facet may be other ranks', which have other parts of it
@@ -147,8 +144,7 @@ def find_partners(partners: NodePartners, slave: Surface, master: SurfaceNodes) 
     match partners:
         case Nearest():
             partner = _nearest_points(*(apart(s.points, s.contact) for s in (master, slave)))[1]
-            offset = master.points[partner] - slave.points
-            distance = np.linalg.norm(tangential_part(offset, slave.normal), axis=1)
+            distance = _distance_across(master.points[partner] - slave.points, slave.normal)
             measure = "along the surface to the nearest master node"
             return Partners(partner, distance, measure, _REMEDY[0].upper() + _REMEDY[1:])
         case Mapped(mapping):
@@ -176,10 +172,8 @@ def _along(slave: Surface, master: SurfaceNodes, along: Along) -> Partners:
     row, node = _near_lines(slave.points, lines, reach, master.points)
     row, node = _chosen(np.sum(slave.normal[row] * master.normal[node], axis=1) < 0.0, row, node)
     offset = master.points[node] - slave.points[row]
-    radial, axial = (
-        _distance_to_lines(offset, lines[row]),
-        np.abs(np.sum(offset * lines[row], axis=1)),
-    )
+    radial = _distance_across(offset, lines[row])
+    axial = np.abs(np.sum(offset * lines[row], axis=1))
     row, node, radial, axial = _chosen(radial <= reach[row], row, node, radial, axial)
     closest = np.full(reach.size, np.inf)
     np.minimum.at(closest, row, axial)
@@ -195,7 +189,7 @@ def _along(slave: Surface, master: SurfaceNodes, along: Along) -> Partners:
     alone = np.flatnonzero(partner < 0)
     for k in alone[coordinate_order(slave.points[alone])[:3]]:
         facing = master.normal @ slave.normal[k] < 0.0
-        radial = _distance_to_lines(master.points[facing] - slave.points[k], lines[k])
+        radial = _distance_across(master.points[facing] - slave.points[k], lines[k])
         distance[k] = radial.min(initial=np.inf)
     return Partners(
         partner,
@@ -275,17 +269,16 @@ def _near_lines(
     """Find pairs of a line through x (k, gdim) and a target that may be within its reach."""
 
     def near(row: Numbers, low: Vector, high: Vector) -> Mask:
-        distance = _distance_to_lines(0.5 * (low + high) - x[row], lines[row])
+        distance = _distance_across(0.5 * (low + high) - x[row], lines[row])
         is_near: Mask = distance <= reach[row] + 0.5 * np.linalg.norm(high - low, axis=1)
         return is_near
 
     return BoxTree(targets[:, None]).candidates(len(x), near)
 
 
-def _distance_to_lines(offset: Vector, lines: Vector) -> Vector:
+def _distance_across(offset: Vector, lines: Vector) -> Vector:
     """Return the lengths (k,) of offsets (k, gdim) across unit vectors (k, gdim)."""
-    axial = np.sum(offset * lines, axis=1, keepdims=True)
-    distance: Vector = np.linalg.norm(offset - axial * lines, axis=1)
+    distance: Vector = np.linalg.norm(tangential_part(offset, lines), axis=1)
     return distance
 
 

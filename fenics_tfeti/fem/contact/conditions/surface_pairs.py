@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -22,7 +24,6 @@ from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
-from fenics_tfeti.fem.contact.surfaces.initial_gap import initial_gaps
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes, without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
@@ -37,8 +38,9 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Mask, Numbers
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 NamedPair: TypeAlias = tuple[str, ContactPair]
 Parts: TypeAlias = Mapping[int, tuple[NamedPair, Indices, Indices]]  # facets of slave and master
@@ -204,6 +206,35 @@ def _pairings(
         pairs.master.separated(boundary),
     ]
     return list(map(ContactPairing, *columns))
+
+
+def initial_gaps(
+    comm: MPI.Intracomm,
+    pairs: Sequence[ContactPair],
+    contact: Numbers,
+    gap: Vector,
+    chord: Vector,
+    points: Vector,
+    names: Sequence[str],
+) -> Vector:
+    """Return the initial gaps (k,) of conditions of contacts (k,). Collective.
+
+    For the values see `ContactPair`. The gaps (k,) are those of the mesh, the chords the distances
+    of its facets from the curved surfaces there [m].
+    """
+    touching = np.array([pair.initial_gap == "touching" for pair in pairs])
+    # twice: the normals at a surface's border see half of the curvature
+    gap = np.where(touching[contact] & (np.abs(gap) <= 2.0 * chord), 0.0, gap)
+    for k, (pair, name) in enumerate(zip(pairs, names, strict=True)):
+        if not isinstance(pair.initial_gap, str):
+            rows = contact == k
+            gap[rows] = user_gaps(comm, pair.initial_gap, points[rows], name)
+    return gap
+
+
+def user_gaps(comm: MPI.Intracomm, value: Any, points: Vector, name: str) -> Vector:
+    """Evaluate the gaps (k,) that a user gives at points (k, 3). Collective."""
+    return scalars_at(comm, value, points, points.shape[1], f"{name}: initial_gap")
 
 
 def check_covered(conditions: Conditions, slave: Surface) -> None:

@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     node_areas,
     slave_matrix,
 )
-from fenics_tfeti.fem.contact.surfaces.initial_gap import chord_heights
+from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.nodes import NodeMap

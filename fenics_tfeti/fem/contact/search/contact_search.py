@@ -21,7 +21,7 @@ from fenics_tfeti.fem.contact.conditions.checks import (
 from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
-from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs
+from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
 from fenics_tfeti.fem.contact.conditions.ties import (
     TiedPairing,
     linear_rows,
@@ -53,7 +53,6 @@ from fenics_tfeti.fem.contact.search.roles import (
     swapped,
     warn_of_roles,
 )
-from fenics_tfeti.fem.contact.surfaces.initial_gap import user_gaps
 from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies
