@@ -215,7 +215,7 @@ class ContactSet:
                         "turns=True needs a cut whose slave side is free. Leave turns out, or cut "
                         "the shank where nothing is prescribed"
                     )
-                ties[k] = replace(found, pairing=pairing.turned(nodes, uh))
+                ties[k] = replace(found, pairing=pairing.turned(uh))
         return replace(self, ties=ties)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:

@@ -29,7 +29,6 @@ from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
 from fenics_tfeti.feti.system import ContactRows, Subdomain
@@ -63,9 +62,9 @@ class Preload:
 class TiedPairing:
     """The equality rows of a tie whose slave nodes this rank owns."""
 
+    boundary: MeshBoundary
     rows: ContactRows  # the normals are directions of the slave's displacement
     nodes: Numbers  # (k,): slave nodes, ascending
-    coordinates: Vector  # (k, 3): of the slave nodes [m]
     area: Vector  # (k,): that belongs to each; NaN where there is none [m^2 or m]
     summary: dict[str, Any]  # the tie's entry of `Report.pairing`
     # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
@@ -80,6 +79,12 @@ class TiedPairing:
         return name
 
     @property
+    def coordinates(self) -> Vector:
+        """The undeformed slave nodes (k, 3) [m]."""
+        coordinates: Vector = self.boundary.coordinates[self.nodes - self.boundary.nodes.first]
+        return coordinates
+
+    @property
     def is_mortar(self) -> bool:
         """Whether the rows are mortar conditions of two surfaces."""
         return self.prescribed is not None
@@ -92,12 +97,13 @@ class TiedPairing:
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
 
-    def turned(self, nodes: NodeMap, uh: Function) -> TiedPairing:
+    def turned(self, uh: Function) -> TiedPairing:
         """Return the rows of a bolt across and along the axis as its cut has turned it. Collective.
 
         The rotation of the slave's side is fitted to its displacement by least squares.
         """
         assert self.preload is not None
+        nodes = self.boundary.nodes
         comm, weight = nodes.comm, self.area[:, None]
         start = self.coordinates[:, : nodes.components]
         end = start + nodes.values(uh)[self.nodes - nodes.first]
@@ -168,9 +174,8 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
         part.terms.rows(np.tile(axis, (part.area.size, 1)), np.zeros(part.area.size), 0)
         for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
-    rows_of_all, places = ContactRows.concatenate(components), slave.coordinates
-    places = places[np.searchsorted(slave.nodes, nodes)]
-    return TiedPairing(rows_of_all, nodes, places, area, summary, slave, fixed)
+    rows_of_all = ContactRows.concatenate(components)
+    return TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed)
 
 
 def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Surface, Surface]:
@@ -188,7 +193,6 @@ class _Match:
 
     surface: Surface
     nodes: Numbers  # (k,): global nodes that this rank owns, ascending
-    coordinates: Vector  # (k, 3) [m]
     master: Numbers  # (k,): the master's nodes
     distance: Vector  # (k,): of the master's nodes from the places where they should be [m]
     angle: Vector  # (k,): between the normals of facets and the opposite of the master's [degrees]
@@ -214,7 +218,7 @@ class _Match:
             np.nan_to_num(area),
             surface.area.sum(keepdims=True),
         )
-        return TiedPairing(rows, self.nodes, self.coordinates, area, summary)
+        return TiedPairing(surface.boundary, rows, self.nodes, area, summary)
 
 
 def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
@@ -232,7 +236,8 @@ def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> Tied
     match = _matched(boundary, pair, name, Q, t)
     jump = np.zeros((match.nodes.size, gdim))
     if pair.jump is not None:
-        jump = vectors_at(comm, pair.jump, match.coordinates, gdim, f"the jump of {name}")
+        places = boundary.coordinates[match.nodes - boundary.nodes.first]
+        jump = vectors_at(comm, pair.jump, places, gdim, f"the jump of {name}")
     rows = _rows(match.nodes, match.master, np.identity(gdim), Q, jump)
     return match.pairing(name, "periodic", rows)
 
@@ -305,8 +310,7 @@ def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPai
     (summary,) = pairing_summaries(
         nodes.comm, [name], "rows", rows.contact, none, none, rows.contact
     )
-    places = boundary.coordinates[distinct - nodes.first]
-    return TiedPairing(rows, distinct, places, np.full(distinct.size, np.nan), summary)
+    return TiedPairing(boundary, rows, distinct, np.full(distinct.size, np.nan), summary)
 
 
 def _matched(
@@ -341,14 +345,14 @@ def _matched(
     local = np.unique(all_nodes.to_owners(numbers.ravel())[0])
     largest = all_nodes.sum_at_owners(numbers.ravel(), columns, np.maximum)[local]
     highest, lowest = largest[:, 0].astype(np.int64), -largest[:, 1].astype(np.int64)
-    places = boundary.coordinates[local]
-    if bad := first_wrong(slave.comm, highest != lowest, places[:, : len(t)]):
+    places = boundary.coordinates[local, : len(t)]
+    if bad := first_wrong(slave.comm, highest != lowest, places):
         raise InputError(
             f"{name}: {bad.number} nodes of the slave have several partners, the first at "
             f"{bad.place}: the facets of the master around them share no nodes. Exchange slave and "
             "master"
         )
-    return _Match(slave, local + all_nodes.first, places, highest, *largest[:, 2:].T)
+    return _Match(slave, local + all_nodes.first, highest, *largest[:, 2:].T)
 
 
 def _check_matching(

@@ -22,7 +22,6 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     mortar_matrices,
     multiplier_shares,
     node_areas,
-    slave_matrix,
 )
 from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
@@ -97,7 +96,7 @@ def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -
     """
     facets = Facets(slave.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[facets.corners]
-    D = slave_matrix(integrate_alone(facets, weight), facets).tocoo()
+    D = mortar_matrices(integrate_alone(facets, weight), facets, facets).D.tocoo()
     row, column = slave.nodes[D.row], slave.nodes[D.col]
     all_nodes, on_slave = surface.boundary.nodes, np.ones(D.nnz, dtype=bool)
     return collect_terms(all_nodes, row, column, D.data, on_slave)

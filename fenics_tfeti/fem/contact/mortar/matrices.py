@@ -64,7 +64,7 @@ def mortar_matrices(
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
     psi, slave_products = (
-        _dual_functions(integrals, _areas(slave)[integrals.facet])
+        _dual_functions(integrals, slave)
         if dual
         else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace)
     )
@@ -74,13 +74,6 @@ def mortar_matrices(
     D = _assemble(slave_products, corners, slave.nodes[integrals.facet], (n, n))
     M = _assemble(master_products, corners[integrals.pair], master.nodes[integrals.master], (n, m))
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
-
-
-def slave_matrix(integrals: FacetIntegrals, slave: Facets) -> sp.csr_matrix:
-    """Assemble D (n, n) of a surface with a multiplier at all vertices, see `integrate_alone`."""
-    _, slave_products = _dual_functions(integrals, _areas(slave)[integrals.facet])
-    n, facet = len(slave.points), integrals.facet
-    return _assemble(slave_products, slave.corners[facet], slave.nodes[facet], (n, n))
 
 
 def multiplier_shares(coverage: Vector, least: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
@@ -121,11 +114,11 @@ def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
     return np.bincount(nodes.ravel(), values.ravel(), n).astype(np.float64, copy=False)
 
 
-def _dual_functions(integrals: FacetIntegrals, area: Vector) -> tuple[Vector, Vector]:
+def _dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
     """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
     # a narrow strip may cross the facet anywhere: the functions are the shape functions then
-    narrow = integrals.covered <= 1e-4 * area
+    narrow = integrals.covered <= 1e-4 * _areas(slave)[integrals.facet]
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
     ones = integrals.ones[~narrow]
     # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
