@@ -96,10 +96,7 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
 def nodal_friction(
     space: FunctionSpace, contact: Contact, pairing: ContactPairing, fixed: Mask
 ) -> NodalFriction | None:
-    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
-
-    For the mask see `prescribed_components`.
-    """
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
     law, points, name = contact.friction, pairing.coordinates, pairing.name
     if law is None:
         return None

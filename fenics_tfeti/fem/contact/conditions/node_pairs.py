@@ -69,10 +69,7 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
 
 
 def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
-    """Return the conditions between pairs of nodes, this rank's part. Collective.
-
-    Several contacts have the nearest nodes as partners.
-    """
+    """Return the conditions between pairs of nodes, this rank's part. Collective."""
     slave, master = pairs.slave, pairs.master.gathered_nodes()
     shared = shared_nodes(pairs, master.nodes)
     master = master.without(shared)
@@ -115,10 +112,7 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
 
 
 def shared_nodes(pairs: JoinedPairs, master: Numbers) -> Numbers:
-    """Return nodes of all ranks on both surfaces, of whose master there are those near. Collective.
-
-    There must be none but in contacts that are partial and whose master has other nodes.
-    """
+    """Return the nodes on both surfaces, as partial contacts with others may have. Collective."""
     slave = pairs.slave
     is_shared = np.isin(slave.nodes, master)
     shared, total = slave.counts(slave.contact[is_shared], pairs.master.contact)
@@ -248,10 +242,7 @@ def _at_points(slave: Surface, master: SurfaceNodes, pairs: Points) -> Partners:
 
 
 def _nearest_points(points: Vector, places: Vector) -> tuple[Vector, Numbers]:
-    """Return for each place the distance to the nearest point, and the position of that point.
-
-    Of points that are equally near up to rounding, the one with the lowest position is taken.
-    """
+    """Return the distance and position of the nearest points, of equally near ones the first."""
     # the centre of a hexahedron of a grid has eight nearest nodes
     candidates = min(8, len(points))
     distances, positions = cKDTree(points).query(places, k=range(1, candidates + 1))

@@ -203,10 +203,7 @@ class ContactPairing:
         return self.surface.coordinates[self.on_surface]
 
     def relative(self, nodes: NodeMap, values: Vector) -> Vector:
-        """Return mean values (k, q) of the slave less those of the master. Collective.
-
-        The values (n, q) are at this rank's nodes, such as displacements or places [m].
-        """
+        """Return means (k, q) of values (n, q), the slave's less the master's. Collective."""
         return self.terms.means(nodes.values_at(values, self.terms.nodes))
 
 

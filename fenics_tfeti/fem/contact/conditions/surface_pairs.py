@@ -143,11 +143,7 @@ def match_by_mortar(
     before: Numbers,
     displacement: Function | None = None,
 ) -> Conditions:
-    """Return the mortar conditions of pairs, of which this is the first. Collective.
-
-    The surfaces are deformed, and of the master there is what is near this rank's slave facets. For
-    the other arguments see `mortar_conditions`.
-    """
+    """Return mortar conditions of pairs, this the first; see `mortar_conditions`. Collective."""
     if contact.normal is None:
         slave = replace(slave, normal=normals_in_symmetry_planes(slave, prescribed))
     facets = slave.oriented_part(displacement)

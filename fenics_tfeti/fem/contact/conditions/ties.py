@@ -98,10 +98,7 @@ class TiedPairing:
         return force
 
     def turned(self, uh: Function) -> TiedPairing:
-        """Return the rows of a bolt across and along the axis as its cut has turned it. Collective.
-
-        The rotation of the slave's side is fitted to its displacement by least squares.
-        """
+        """Return the rows of a bolt whose axis has turned with its cut. Collective."""
         assert self.preload is not None
         nodes = self.boundary.nodes
         comm, weight = nodes.comm, self.area[:, None]
@@ -110,6 +107,7 @@ class TiedPairing:
         places = np.column_stack([start, end, np.ones(len(start))])
         sums = comm.allreduce(np.sum(weight * places, axis=0))
         first, second = np.split(sums[:-1] / sums[-1], 2)
+        # the rotation is fitted to the displacement of the slave's side by least squares
         product = comm.allreduce((weight * (end - second)).T @ (start - first))
         left, _, right = np.linalg.svd(product)
         # a plane cut tells no stretch along its normal: the proper rotation is the one

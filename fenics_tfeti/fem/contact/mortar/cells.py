@@ -90,13 +90,9 @@ class MasterTree:
 
 @dataclass(frozen=True)
 class Cells:
-    """Segments or triangles in the planes of slave facets (pieces of them for degree 2).
+    """Segments or triangles (c,) in the planes of slave facets, of pairs (p,) of facets."""
 
-    There are p pairs of facets that lie over each other, in the order of the slave facets, and c
-    cells.
-    """
-
-    slave: Numbers  # slave facet of each pair (p,)
+    slave: Numbers  # slave facet, or piece of one, of each pair (p,), ascending
     master: Numbers  # master facet of each pair (p,)
     on_slave: Vector  # (p, v, gdim - 1): corners in the plane of the slave [m]
     on_master: Vector  # (p, w, gdim - 1): projected corners of the master [m]
@@ -181,10 +177,7 @@ def overlapping_cells(
 
 
 def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
-    """Tell which slave facets are wholly beyond an edge of the master's projected triangle.
-
-    It costs less than to cut them, and a third of the facets whose boxes meet are.
-    """
+    """Tell which slave facets are beyond an edge of the master's triangle: cheaper than a cut."""
     outside_edge = np.zeros(len(slave), dtype=bool)
     for corner in range(3):
         start, end = master[:, corner], master[:, (corner + 1) % 3]
@@ -226,10 +219,7 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
 
 
 def inside(x: Vector, of_points: Numbers, facets: Facets, of_facets: Numbers) -> Mask:
-    """Tell which points (k, gdim) are inside the surface that has the number of each (k,).
-
-    The facets (f,) have the numbers of their surfaces.
-    """
+    """Tell which points (k, gdim) are inside the facets with their number."""
     within = np.zeros(len(x), dtype=bool)
     for number in np.unique(of_points):
         chosen = of_points == number
@@ -239,10 +229,7 @@ def inside(x: Vector, of_points: Numbers, facets: Facets, of_facets: Numbers) ->
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
-    """Keep the nearest layer of the master where several lie over a slave facet.
-
-    A layer is what of the facet's pairs is connected through nodes of the master.
-    """
+    """Keep the nearest layer, connected through nodes of the master, over each slave facet."""
     area, limit = cells.pair_area(), (1.0 + 1e-6) * planes.area
     several = np.bincount(cells.slave, area, len(limit)) > limit
     pairs = np.flatnonzero(several[cells.slave])

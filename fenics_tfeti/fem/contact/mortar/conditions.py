@@ -57,11 +57,7 @@ def mortar_conditions(
 def tied_conditions(
     surface: Surface, slave: SurfaceFacets, master: SurfaceFacets, prescribed: Mask
 ) -> list[Conditions]:
-    """Return the conditions for each component of surfaces that stay together. Collective.
-
-    A component has none at nodes where supports hold it, see `_held_by_supports`; for the others
-    see `mortar_conditions`.
-    """
+    """Return conditions for each component of surfaces that stay together. Collective."""
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
     free = _held_by_supports(surface, slave, prescribed)
     # of degree 2 the solution is more exact with the shape functions as multipliers

@@ -121,10 +121,7 @@ class Facets:
 
 
 def apart(x: Vector, contact: Numbers) -> Vector:
-    """Return places (..., gdim) with one more axis, along which contacts are far from each other.
-
-    Trees of points and boxes with this axis find what is near in the same contact alone.
-    """
+    """Return places (..., gdim) with one more axis, which keeps contacts apart in trees."""
     return np.concatenate([x, 1e30 * contact[..., None]], axis=-1)
 
 

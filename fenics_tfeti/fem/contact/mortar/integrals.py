@@ -154,11 +154,9 @@ def _products(first: Vector, second: Vector) -> Vector:
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
-    """Return barycentric coordinates (q, gdim) and weights (q,) whose sum is 1.
-
-    With several pieces of a facet the shape functions are of degree 2.
-    """
+    """Return barycentric coordinates (q, gdim) and weights (q,) whose sum is 1."""
     triangles = cells.on_slave.shape[1] == cells.on_master.shape[1] == 3
+    # with several pieces of a facet the shape functions are of degree 2
     quadratic = pieces > 1 and not triangles
     if cells.corners.shape[2] == 1:
         points, weights = quadrature("interval", 3 if pieces == 1 else 5)

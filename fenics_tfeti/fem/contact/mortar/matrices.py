@@ -57,10 +57,7 @@ class MortarMatrices:
 def mortar_matrices(
     integrals: FacetIntegrals, slave: Facets, master: Facets, dual: bool = True
 ) -> MortarMatrices:
-    """Assemble D, M and the gaps of all covered nodes.
-
-    The multipliers psi are the dual functions, or the shape functions of degree 1 themselves.
-    """
+    """Assemble D, M and gaps of covered nodes; multipliers are dual or shape functions."""
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
     psi, slave_products = (

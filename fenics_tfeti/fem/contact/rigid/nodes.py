@@ -30,10 +30,7 @@ from fenics_tfeti.typing import Numbers, Vector
 
 @dataclass(frozen=True)
 class RigidNodes:
-    """The nodes that this rank owns, and the rigid bodies that some of them move with.
-
-    The bodies are the first ones of a problem's `RigidBodies`, in the same order.
-    """
+    """The nodes that this rank owns, and the rigid bodies of the mesh that some move with."""
 
     nodes: NodeMap
     x: Vector  # (owned, gdim): undeformed places [m]

@@ -47,10 +47,7 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 def roles_ratios(
     comm: MPI.Intracomm, pairings: Sequence[ContactPairing], stiffness: Vector
 ) -> list[float | None]:
-    """Return E / h of each slave over that of its master, zero of a rigid one. Collective.
-
-    They are None for node pairs. The `nodal_stiffness` says how stiff the bodies are.
-    """
+    """Return E / h of slaves over that of masters, 0 of rigid ones, None of nodes. Collective."""
     sums = np.zeros((len(pairings), 2, 3))
     for row, pairing in enumerate(pairings):
         for column, surface in enumerate(pairing.surfaces):

@@ -37,10 +37,7 @@ class SolvedContact:
 def gather_solved(
     pairings: Sequence[ContactPairing], results: Sequence[ContactResult], displacement: Function
 ) -> list[SolvedContact]:
-    """Gather the solution on the slaves' surfaces on every rank. Collective.
-
-    The messages grow with the surfaces, which are meant to be those of a coarse mesh.
-    """
+    """Gather the solution on the slaves' surfaces on every rank. Collective."""
     displacement.x.scatter_forward()
     solved = []
     for pairing, result in zip(pairings, results, strict=True):

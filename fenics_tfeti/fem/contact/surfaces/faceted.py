@@ -45,10 +45,7 @@ def facet_normals(corners: Vector) -> Vector:
 
 
 class FacetedSurface:
-    """An oriented surface, open or closed, of segments (2D) or triangles (3D).
-
-    The facets (m, gdim) are rows of the points (n, gdim), oriented outwards as in `facet_normals`.
-    """
+    """A surface of segments (2D) or triangles (3D), open or closed, oriented as `facet_normals`."""
 
     def __init__(self, points: Vector, facets: Numbers) -> None:
         self._corners = points[facets]

@@ -164,10 +164,7 @@ class Cylinder:
         return x - np.outer(x @ self.axis, self.axis)
 
     def _improved(self, comm: MPI.Intracomm, x: Vector, cross_axes: Vector) -> Cylinder:
-        """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective.
-
-        The axis moves along two directions (3, 2), and is turned about its point beside 0.
-        """
+        """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective."""
         radial = self._radial(x)
         distance, outward = np.linalg.norm(radial, axis=1), unit(radial) @ cross_axes
         rows = np.column_stack([outward, (x @ self.axis)[:, None] * outward, np.ones(len(x))])

@@ -57,10 +57,7 @@ class SurfaceFacets:
 
     @cached_property
     def normal(self) -> Vector:
-        """Unit normals (n, gdim), by integrals with the shape functions; zero where they cancel.
-
-        For degree 2 they are those of the pieces of facets.
-        """
+        """Unit normals (n, gdim), by integrals with the shape functions; zero where they cancel."""
         if self.vertex_normals is not None:
             return self.vertex_normals
         return unit(self._integrals[0])

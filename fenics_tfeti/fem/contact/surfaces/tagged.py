@@ -199,10 +199,7 @@ class Surface:
         return self.sum_of_corners(at_corners, np.maximum)
 
     def share_of_area(self, chosen: Mask, weight: Vector | None = None) -> Vector:
-        """Return the share (k,) of each node's area that belongs to chosen facets (f,). Collective.
-
-        The weight (nodes,) of the measure is at this rank's nodes; by default there is none.
-        """
+        """Return the share (k,) of each node's area on chosen facets (f,). Collective."""
         x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
         at_corners = None if weight is None else weight[self.vertices]
         integrals = corner_normals(x, at_corners) * chosen[:, None, None]
@@ -244,10 +241,7 @@ class Surface:
     def part(
         self, displacement: Function | None = None, chosen: Numbers | slice = slice(None)
     ) -> SurfaceFacets:
-        """Return the facets of this rank, or some of them, deformed by a displacement [m] if given.
-
-        The ghosts of the displacement are up to date.
-        """
+        """Return facets of this rank, deformed by a displacement (ghosts up to date) if given."""
         boundary, rows = self.boundary, self.facet_nodes[chosen]
         nodes, first, inverse = np.unique(
             boundary.nodes.to_global(rows), return_index=True, return_inverse=True
@@ -322,10 +316,7 @@ class SurfaceNodes:
 def gather_surfaces(
     surfaces: Sequence[Surface], displacement: Function | None = None
 ) -> list[SurfaceFacets]:
-    """Return the facets of all ranks of some surfaces, deformed as in `gathered`. Collective.
-
-    It is one message for all of them.
-    """
+    """Return the facets of all ranks of some surfaces in one message, as `gathered`. Collective."""
     if not surfaces:
         return []
     of_ranks = surfaces[0].comm.allgather([surface.part(displacement) for surface in surfaces])
@@ -340,20 +331,14 @@ def tagged_surface(
     role: str = "",
     user_normal: VectorField | None = None,
 ) -> Surface:
-    """Find the nodes of a tagged surface, this rank's part. Collective.
-
-    By default normals are area-weighted averages of the facets'.
-    """
+    """Find the nodes of a tagged surface, this rank's part. Collective."""
     label = f"{role} of {name}" if role else name
     (facets,) = tagged_facets(boundary, [(facet_tags, tag, label)])
     return surface_of(boundary, oriented_facets(boundary.space, facets), [name], role, user_normal)
 
 
 def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]) -> list[Indices]:
-    """Return this rank's facets of each tag, all of them on the boundary. Collective.
-
-    Given are meshtags, the tag and the name of the surface in messages: of the first wrong one.
-    """
+    """Return this rank's facets of each (meshtags, tag, label), checked. Collective."""
     domain, comm = boundary.space.mesh, boundary.nodes.comm
     dim = domain.topology.dim - 1
     with raise_collectively(comm):
