@@ -6,7 +6,6 @@ them. The contributions of the facets are summed at the owners of the slave's no
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import permutations
 
 import numpy as np
@@ -113,8 +112,7 @@ def _conditions(
     areas = all_nodes.sum_at_owners(
         slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
     )
-    sharing = SharedMultipliers.of(all_nodes, slave, integrals, areas, free, before)
-    nodes, S = sharing.matrix(slave.nodes)
+    nodes, S = _shared_multipliers(all_nodes, slave, integrals, areas, free, before)
     D, M = (S @ matrices.D).tocoo(), (S @ matrices.M).tocoo()
     terms = collect_terms(
         all_nodes,
@@ -147,68 +145,53 @@ def _conditions(
     )
 
 
-@dataclass(frozen=True)
-class SharedMultipliers:
-    """Shares of neighbours in the dual functions of nodes without a multiplier; on all ranks."""
+def _shared_multipliers(
+    all_nodes: NodeMap,
+    slave: SurfaceFacets,
+    integrals: FacetIntegrals,
+    areas: Vector,
+    free: Mask,
+    before: Numbers,
+) -> tuple[Numbers, sp.csr_matrix]:
+    """Return the nodes (r,) with multipliers, and the shares (r, n) of the slave's. Collective.
 
-    nodes: Numbers  # global nodes (q,), ascending: those without a multiplier and their neighbours
-    shares: sp.csc_matrix  # (q, q), see `multiplier_shares`
-
-    @staticmethod
-    def of(
-        all_nodes: NodeMap,
-        slave: SurfaceFacets,
-        integrals: FacetIntegrals,
-        areas: Vector,
-        free: Mask,
-        before: Numbers,
-    ) -> SharedMultipliers:
-        """Find the nodes that have no multiplier, and their neighbours. Collective.
-
-        The areas (owned, 2) are the whole and covered ones of the nodes that this rank owns. The
-        nodes of `free` (n,), alike on all ranks, must not have a multiplier; those of this rank
-        that had one `before` keep it longer.
-        """
-        limits = np.full(len(areas), BARELY_COVERED)
-        limits[before - all_nodes.first] = HARDLY_COVERED
-        least = all_nodes.values_at(limits, slave.nodes)
-        full, covered = all_nodes.values_at(areas, slave.nodes).T
-        # of degree 2, nodes that are no vertices have no area
-        coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
-        corners = slave.facets.corners[integrals.facet]
-        j, k = (
-            corners[:, ends].ravel()
-            for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
-        )
-        excluded = free[j] | (coverage[j] < least[j])
-        j, k = j[excluded], k[excluded]
-        # each pair with the values of its nodes, which are alike on all ranks
-        columns = concatenate_buffers(
-            all_nodes.comm,
-            *(column[rows] for column in (slave.nodes, coverage, least, free) for rows in (j, k)),
-        )
-        first_node, second_node, *values = columns
-        nodes, first, inverse = np.unique(
-            np.concatenate([first_node, second_node]), return_index=True, return_inverse=True
-        )
-        coverage, least, free = (
-            np.concatenate(values[k : k + 2])[first] for k in range(0, len(values), 2)
-        )
-        pairs = inverse.reshape(2, -1).T
-        return SharedMultipliers(nodes, multiplier_shares(coverage, least, free, pairs))
-
-    def matrix(self, nodes: Numbers) -> tuple[Numbers, sp.csr_matrix]:
-        """Return the nodes (r,) whose conditions take terms of some nodes (n,), and the shares."""
-        place = positions(self.nodes, nodes)
-        alone, sharing = np.flatnonzero(place < 0), np.flatnonzero(place >= 0)
-        part = self.shares[:, place[sharing]].tocoo()
-        shared, row = np.unique(part.row, return_inverse=True)
-        row = np.concatenate([np.arange(alone.size), alone.size + row])
-        column = np.concatenate([alone, sharing[part.col]])
-        values = np.concatenate([np.ones(alone.size), part.data])
-        shape = (alone.size + shared.size, nodes.size)
-        shares = sp.csr_matrix((values, (row, column)), shape)
-        return np.concatenate([nodes[alone], self.nodes[shared]]), shares
+    The areas (owned, 2) are the whole and covered ones of the nodes that this rank owns. The nodes
+    of `free` (n,), alike on all ranks, must not have a multiplier; those of this rank that had one
+    `before` keep it longer.
+    """
+    limits = np.full(len(areas), BARELY_COVERED)
+    limits[before - all_nodes.first] = HARDLY_COVERED
+    least = all_nodes.values_at(limits, slave.nodes)
+    full, covered = all_nodes.values_at(areas, slave.nodes).T
+    # of degree 2, nodes that are no vertices have no area
+    coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
+    corners = slave.facets.corners[integrals.facet]
+    j, k = (
+        corners[:, ends].ravel()
+        for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
+    )
+    excluded = free[j] | (coverage[j] < least[j])
+    j, k = j[excluded], k[excluded]
+    # each pair with the values of its nodes, which are alike on all ranks
+    columns = concatenate_buffers(
+        all_nodes.comm,
+        *(column[rows] for column in (slave.nodes, coverage, least, free) for rows in (j, k)),
+    )
+    ends, coverage, least, free = (np.concatenate(columns[k : k + 2]) for k in range(0, 8, 2))
+    # on all ranks those without a multiplier and their neighbours
+    sharing, first, inverse = np.unique(ends, return_index=True, return_inverse=True)
+    pairs = inverse.reshape(2, -1).T
+    shares = multiplier_shares(coverage[first], least[first], free[first], pairs)
+    place = positions(sharing, slave.nodes)
+    alone, shared = np.flatnonzero(place < 0), np.flatnonzero(place >= 0)
+    part = shares[:, place[shared]].tocoo()
+    taking, row = np.unique(part.row, return_inverse=True)
+    row = np.concatenate([np.arange(alone.size), alone.size + row])
+    column = np.concatenate([alone, shared[part.col]])
+    values = np.concatenate([np.ones(alone.size), part.data])
+    shape = (alone.size + taking.size, slave.nodes.size)
+    nodes = np.concatenate([slave.nodes[alone], sharing[taking]])
+    return nodes, sp.csr_matrix((values, (row, column)), shape)
 
 
 def collect_terms(

@@ -34,7 +34,7 @@ class RigidNodes:
 
     nodes: NodeMap
     x: Vector  # (owned, gdim): undeformed places [m]
-    bodies: Sequence[RigidBody]  # the same on all ranks
+    bodies: Sequence[RigidBody]  # the first of a problem's `RigidBodies`, on all ranks
     body: Numbers  # (owned,): number of each node's body; -1 of deformable ones
 
     @staticmethod
