@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, gather_surfaces
+from fenics_tfeti.fem.contact.surfaces.tagged import gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -58,22 +58,13 @@ def deformed_contacts(
         if not np.isfinite(owned_values(displacement)).all():
             raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
-    needed = [_gathered_surfaces(*of_contact) for of_contact in contacts]
+    # what all ranks need the whole of
+    needed = [[] if pairing.is_mortar else pairing.surfaces for _, pairing in contacts]
     gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces], displacement))
     return [
         _deformed(contact, pairing, [next(gathered) for _ in surfaces], displacement)
         for (contact, pairing), surfaces in zip(contacts, needed, strict=True)
     ]
-
-
-def _gathered_surfaces(contact: Contact, pairing: ContactPairing) -> list[Surface]:
-    """Return the surfaces that all ranks need the whole of."""
-    if isinstance(contact, RigidObstacle):
-        return [pairing.surface]
-    if pairing.is_mortar:
-        return []
-    assert pairing.master_surface is not None
-    return [pairing.surface, pairing.master_surface]
 
 
 def _deformed(
@@ -82,7 +73,7 @@ def _deformed(
     surfaces: Sequence[SurfaceFacets],
     displacement: Function,
 ) -> DeformedContact:
-    """Measure a contact with the surfaces of `_gathered_surfaces`, deformed. Collective."""
+    """Measure a contact with its whole deformed surfaces; none for mortars. Collective."""
     if isinstance(contact, RigidObstacle):
         comm, (slave,) = pairing.surface.comm, surfaces
         normal, gap, distance, _ = deformed_gaps(comm, contact, pairing.name, slave, pairing.terms)
