@@ -39,7 +39,6 @@ from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import scalars_at
-from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 NamedPair: TypeAlias = tuple[str, ContactPair]
@@ -88,8 +87,6 @@ def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, Con
     if not isinstance(how, NodePartners):
         master = gather_nearby(pairs.master, slave)
         shared = shared_nodes(pairs, master.nodes)
-        with raise_collectively(slave.comm):
-            master.check_not_folded(*slave.names)
         match = np.array([contact.partners is None for contact in contacts])
         match &= boundary.degree == 1
         if match.any():

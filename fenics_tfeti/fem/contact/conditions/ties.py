@@ -129,8 +129,6 @@ def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask)
     comm = boundary.nodes.comm
     slave, tagged_master = _surfaces(boundary, pair, name)
     master = gather_nearby(tagged_master, slave)
-    with raise_collectively(comm):
-        master.check_not_folded(name)
     slave.check_separate(
         np.isin(slave.nodes, master.nodes),
         "Surfaces that share nodes are one already: leave the pair out, or give each part nodes of "

@@ -72,18 +72,15 @@ class SurfaceFacets:
         np.add.at(size, pieces, np.linalg.norm(weighted, axis=2))
         return total, size
 
-    def check_not_folded(self, *names: str) -> None:
+    def check_not_folded(self, name: str) -> None:
         """Check that the normals of the facets around each node do not cancel."""
         total, size = self._integrals
         length = np.linalg.norm(total, axis=1)
         folded = np.flatnonzero(length <= VANISHING_NORMAL * size)
         if folded.size:
-            of_nodes = self.facets.contact_of(folded)
-            contact = of_nodes.min()
-            folded = folded[of_nodes == contact]
             place = format_point(self.points[folded[0]], float(np.abs(self.points).max()))
             raise InputError(
-                f"{names[contact]}: the displacement has folded the slave's facets at "
+                f"{name}: the displacement has folded the slave's facets at "
                 f"{folded.size} nodes, the first now at {place}: their normals cancel. Check the "
                 "loads, and whether the displacements are small enough for linear elasticity"
             )
