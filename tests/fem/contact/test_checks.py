@@ -71,9 +71,7 @@ def test_edge_node_meets_one_surface_from_two_sides():
         ContactPair(tags, SLAVE, MASTER, partners=Along((0.0, 1.0))),
         ContactPair(tags, SECOND_SLAVE, MASTER, partners=Along((1.0, 0.0))),
     ]
-    assert [
-        pairing.summary["pairs"] for pairing in match_contacts(MeshBoundary.of(V), contacts)
-    ] == [5, 3]
+    assert pairs_of(V, contacts) == [5, 3]
 
 
 def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
@@ -83,9 +81,7 @@ def test_equal_tags_of_different_mesh_tags_are_different_surfaces():
         ContactPair(tags, SLAVE, MASTER),
         ContactPair(other, SLAVE, MASTER, partners=Mapped(lambda x: x + [[1], [0], [0]])),
     ]
-    assert [
-        pairing.summary["pairs"] for pairing in match_contacts(MeshBoundary.of(V), contacts)
-    ] == [5, 6]
+    assert pairs_of(V, contacts) == [5, 6]
 
 
 def test_two_obstacles_at_one_surface_are_allowed():

@@ -82,30 +82,16 @@ def test_what_is_no_bound_and_no_coefficient(value):
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("kind", "arguments", "message"),
     [
-        (("down",), "Along: the direction is 'down': two or three finite numbers"),
-        (((0.0, 1.0), 0.0), "Along: the tolerance is 0.0; a positive number"),
+        (Along, ("down",), "the direction is 'down': two or three finite numbers"),
+        (Along, ((0.0, 1.0), 0.0), "the tolerance is 0.0; a positive number"),
+        (Mapped, ((0, 1),), r"the mapping is \(0, 1\); a function"),
+        (Points, ([[0.0, np.nan]], [[0.0, 1.0]]), "the slave points are NaN .* row 0"),
+        (Points, ([[0.0, 1.0]], [0.0, 1.0]), r"the master points have shape \(2,\)"),
+        (Points, (np.zeros((1, 2)), np.zeros((2, 2))), "1 slave points and 2 master points"),
     ],
 )
-def test_what_is_no_line(arguments, message):
-    with pytest.raises(InputError, match=message):
-        Along(*arguments)
-
-
-def test_what_is_no_mapping():
-    with pytest.raises(InputError, match=r"Mapped: the mapping is \(0, 1\); a function"):
-        Mapped((0, 1))
-
-
-@pytest.mark.parametrize(
-    ("slave", "master", "message"),
-    [
-        ([[0.0, np.nan]], [[0.0, 1.0]], "Points: the slave points are NaN .* row 0"),
-        ([[0.0, 1.0]], [0.0, 1.0], r"Points: the master points have shape \(2,\)"),
-        ([[0.0, 1.0]], [[0.0, 1.0], [1.0, 1.0]], "Points: 1 slave points and 2 master points"),
-    ],
-)
-def test_what_are_no_points(slave, master, message):
-    with pytest.raises(InputError, match=message):
-        Points(slave, master)
+def test_what_are_no_partners(kind, arguments, message):
+    with pytest.raises(InputError, match=f"{kind.__name__}: {message}"):
+        kind(*arguments)

@@ -44,11 +44,6 @@ def test_bound_may_change_between_solves():
     assert scene.problem.results[0].friction.bound.sum() == pytest.approx(0.04)
 
 
-def on_other_mesh(scene):
-    mesh = boxes(scene.problem.space.mesh.comm, [Box((0, 0), (1, 1), (1, 1))], "triangle").mesh
-    return Function(scalar_space(mesh))
-
-
 @pytest.mark.parametrize(
     ("friction", "message"),
     [
@@ -68,18 +63,15 @@ def test_misuse_is_named(friction, message):
 
 def test_functions_of_wrong_spaces():
     scene = pushed_cube("triangle", 3)
-    mesh = scene.problem.space.mesh
+    mesh, (contact,) = scene.problem.space.mesh, scene.problem.contacts
+    other = boxes(mesh.comm, [Box((0, 0), (1, 1), (1, 1))], "triangle").mesh
     for given, message in (
-        (on_other_mesh(scene), "Function on another mesh"),
+        (Function(scalar_space(other)), "Function on another mesh"),
         (Function(displacement_space(mesh)), "shape .*; a scalar one"),
         (Function(scalar_space(mesh, degree=2)), "of degree 2"),
         (Function(scalar_space(mesh, "DG", 0)), "Discontinuous Lagrange elements of degree 0"),
     ):
-        contact = scene.problem.contacts[0]
-        changed = type(contact)(
-            contact.facet_tags, contact.slave, contact.obstacle, friction=Tresca(given)
-        )
-        scene.problem.contacts = [changed]
+        scene.problem.contacts = [replace(contact, friction=Tresca(given))]
         with pytest.raises(InputError, match=message):
             scene.problem.solve()
 

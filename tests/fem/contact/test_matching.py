@@ -36,12 +36,15 @@ CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 SECOND_MASTER = 16
 
 
-def test_tilted_normal_shortens_the_gap():
-    V, tags = strips(gap=0.1)
-    pair = ContactPair(
-        tags, SLAVE, MASTER, normal=(0.6, -0.8), partners=Mapped(lambda x: x - [[0], [0.1], [0]])
-    )
-    np.testing.assert_allclose(matched(V, pair).gap, 0.08, rtol=1e-13)
+@pytest.mark.parametrize(
+    ("upper", "partners"), [(4, Mapped(lambda x: x - [[0], [0.1], [0]])), (7, None)]
+)
+def test_tilted_normal_shortens_the_gap(upper, partners):
+    """Of pairs of nodes, and of mortar conditions."""
+    V, tags = strips((4, 2), (upper, 2), gap=0.1)
+    found = matched(V, ContactPair(tags, SLAVE, MASTER, normal=(0.6, -0.8), partners=partners))
+    np.testing.assert_allclose(found.normal, np.tile([0.6, -0.8], (upper + 1, 1)))
+    np.testing.assert_allclose(found.gap, 0.08, rtol=1e-13)
 
 
 def slab_on_two(comm, cell="quadrilateral"):
@@ -109,14 +112,10 @@ def test_slab_over_two_bodies():
     scene.fix(SIDE_X, 0)
     problem = scene.problem(contacts=both(tags), options={"rtol": 1e-10})
     problem.solve()
-    assert sum(c.normal_force for c in problem.report.contacts) == pytest.approx(
-        3.0 * TRACTION, rel=1e-8
-    )
-    assert [entry["contact"] for entry in [c.pairing for c in problem.report.contacts]] == [
-        "left",
-        "right",
-    ]
-    assert all(force > TRACTION for force in normal_forces(problem))
+    forces = normal_forces(problem)
+    assert sum(forces) == pytest.approx(3.0 * TRACTION, rel=1e-8)
+    assert [c.pairing["contact"] for c in problem.report.contacts] == ["left", "right"]
+    assert all(force > TRACTION for force in forces)
 
 
 def test_shared_nodes_of_a_partial_contact_stay_free():
@@ -139,13 +138,6 @@ def test_nodes_are_errors_where_the_contact_is_not_partial():
     _, tags, V = slab_on_two(MPI.COMM_SELF)
     with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
         matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
-
-
-def test_known_pair_is_returned_as_it_is():
-    V, tags = strips()
-    boundary, pair = MeshBoundary.of(V), ContactPair(tags, SLAVE, MASTER)
-    known = match_contacts(boundary, [pair])
-    assert match_contacts(boundary, [pair], [(pair, known[0])])[0] is known[0]
 
 
 def test_known_obstacle_is_evaluated_again():

@@ -17,6 +17,7 @@ from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
@@ -46,8 +47,7 @@ def match_obstacle(
     nodal_gap = None
     if facets is not None:
         if displacement is None:
-            normals = facets.from_corners(facets.normal)
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+            normals = unit(facets.from_corners(facets.normal))
             places = _padded(facets.points)
             nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
             covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)

@@ -22,6 +22,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     multiplier_shares,
     node_areas,
 )
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -133,7 +134,7 @@ def _conditions(
     facets[integrals.facet] = True
     return Conditions(
         terms,
-        normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        unit(normal),
         gap / area,
         area[:, 0],
         covered / total,

@@ -96,7 +96,7 @@ def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vect
     corrected = (farthest <= limits[contact]) & (np.abs(tilt) > COORDINATE_ROUNDING)
     radial = (normal - tilt[:, None] * axes[contact])[corrected]
     normal = normal.copy()
-    normal[corrected] = radial / np.linalg.norm(radial, axis=1, keepdims=True)
+    normal[corrected] = unit(radial)
     return normal
 
 

@@ -59,13 +59,6 @@ def test_gap_of_parallel_surfaces(gap):
     assert pairing.summary["largest_distance"] is None
 
 
-def test_user_normal_is_honoured():
-    V, tags = strips((4, 2), (7, 2))
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, normal=(0.6, -0.8)))
-    np.testing.assert_allclose(pairing.normal, np.tile([0.6, -0.8], (8, 1)))
-    np.testing.assert_allclose(pairing.gap, 0.08)
-
-
 def test_deformed_surfaces():
     """The upper strip moves down by 0.04 and to the right by 0.3, where it is off the lower one."""
     V, tags = strips((4, 2), (7, 2))

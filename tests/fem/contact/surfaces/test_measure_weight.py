@@ -27,11 +27,6 @@ def thickness(space, x):
     return {"expression": 1.0 + x[0], "function": function}
 
 
-def test_no_weight_is_none():
-    V, _ = strips()
-    assert as_ufl_weight(V.mesh, None) is None
-
-
 @pytest.mark.parametrize("number", [3, 3.0, np.float64(3.0), np.int64(3)])
 def test_numbers_are_constants(number):
     """So that one compiled form does for all of them."""
