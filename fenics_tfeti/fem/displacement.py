@@ -20,7 +20,7 @@ from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
@@ -127,6 +127,15 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
         values[unrolled],
         condition[unrolled],
     )
+
+
+def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
+    """Tell which components (n, gdim) of nodes that this rank owns are prescribed; no ghosts'."""
+    mask = np.zeros((nodes.size, nodes.components), dtype=bool)
+    local = prescribed.nodes - nodes.first
+    owned = (local >= 0) & (local < nodes.owned)
+    mask[local[owned], prescribed.components[owned]] = True
+    return mask
 
 
 def _warn_of_empty(comm: MPI.Intracomm, counts: Numbers) -> None:

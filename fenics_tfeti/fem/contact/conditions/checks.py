@@ -16,6 +16,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
@@ -76,18 +77,12 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
 
 
 def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
-    """Return the edges of the bodies' bounding boxes, (bodies, gdim)."""
-    comm, gdim = space.mesh.comm, space.mesh.geometry.dim
+    """Return the edges of the bodies' bounding boxes, (bodies, gdim). Collective."""
     cells = cell_vertices(space.mesh)[: bodies.of_cell.size]
-    corners = space.mesh.geometry.x[cells, :gdim]
-    low = np.full((len(bodies.names), gdim), np.inf)
-    high = -low
-    np.minimum.at(low, bodies.of_cell, corners.min(axis=1, initial=np.inf))
-    np.maximum.at(high, bodies.of_cell, corners.max(axis=1, initial=-np.inf))
-    comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
-    comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
-    size: Vector = high - low
-    return size
+    x = space.mesh.geometry.x[cells, : space.mesh.geometry.dim]
+    ends = np.hstack([x.max(axis=1), -x.min(axis=1)])
+    largest = extremes(space.mesh.comm, ends, bodies.of_cell, len(bodies.names), -np.inf)
+    return np.add(*np.split(largest, 2, axis=1))
 
 
 def check_different_nodes(

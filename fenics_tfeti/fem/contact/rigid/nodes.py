@@ -22,6 +22,7 @@ from fenics_tfeti.fem.contact.conditions.pairing import Terms
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Prescribed
@@ -68,10 +69,8 @@ class RigidNodes:
         """Check that no Dirichlet condition is for a node of a rigid body. Collective."""
         if not self.bodies:
             return
-        local = prescribed.nodes - self.nodes.first
-        local = np.unique(local[(local >= 0) & (local < self.nodes.owned)])
-        held = local[self.body[local] >= 0]
-        if bad := first_wrong(self.nodes.comm, np.ones(held.size, dtype=bool), self.x[held]):
+        held = prescribed_components(self.nodes, prescribed)[: self.nodes.owned].any(axis=1)
+        if bad := first_wrong(self.nodes.comm, held & (self.body >= 0), self.x):
             raise InputError(
                 f"Dirichlet conditions are for {bad.number} nodes of rigid bodies, the first at "
                 f"{bad.place}: prescribe translation and rotation of the RigidBody instead"

@@ -53,9 +53,9 @@ from fenics_tfeti.fem.contact.search.roles import (
     swapped,
     warn_of_roles,
 )
-from fenics_tfeti.fem.contact.surfaces.normals import prescribed_components
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively

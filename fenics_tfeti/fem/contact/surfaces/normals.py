@@ -21,24 +21,13 @@ import numpy as np
 
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
-from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # root mean square of the normals along a second direction, below which a surface is a plane
 _CURVED = 0.1
 # distance of nodes from a cylinder, relative to its size, that is rounding
 _ROUND = 1e-11
-
-
-def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
-    """Tell which components (n, gdim) of nodes that this rank owns are prescribed; no ghosts'."""
-    mask = np.zeros((nodes.size, nodes.components), dtype=bool)
-    local = prescribed.nodes - nodes.first
-    owned = (local >= 0) & (local < nodes.owned)
-    mask[local[owned], prescribed.components[owned]] = True
-    return mask
 
 
 def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:

@@ -10,12 +10,9 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair
 from fenics_tfeti.fem.contact.search.contact_search import match_contacts
-from fenics_tfeti.fem.contact.surfaces.normals import (
-    normals_in_symmetry_planes,
-    prescribed_components,
-)
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
-from fenics_tfeti.fem.displacement import prescribed_values
+from fenics_tfeti.fem.displacement import prescribed_components, prescribed_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Prescribed
 
