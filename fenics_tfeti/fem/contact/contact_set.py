@@ -30,8 +30,8 @@ from fenics_tfeti.fem.contact.search.roles import Roles
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
+from fenics_tfeti.parallel import positions
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -63,23 +63,20 @@ class FoundContact:
     @property
     def gap(self) -> Vector:
         """Gaps of the undeformed surfaces (k,) [m]; infinite at nodes without condition there."""
-        nodes, gaps = self.undeformed.slave, self.undeformed.gap
-        _, rows, rows_of_gaps = np.intersect1d(self.pairing.slave, nodes, return_indices=True)
-        gap = np.full(self.pairing.slave.size, np.inf)
-        gap[rows] = gaps[rows_of_gaps]
-        return gap
+        place = positions(self.undeformed.slave, self.pairing.slave)
+        return np.append(self.undeformed.gap, np.inf)[place]
 
     @property
     def body(self) -> RigidBody | None:
         """The rigid body that the obstacle is a surface of."""
         return self.contact.body if isinstance(self.contact, RigidObstacle) else None
 
-    def placed(self, nodes: NodeMap, rigid: RigidNodes) -> FoundContact:
+    def placed(self, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
         master = rigid.master_of(self.pairing.terms, self.pairing.name)
         if self.body is None:
             return replace(self, rigid_master=master)
-        x = self.pairing.relative(nodes, nodes.coordinates)
+        x = self.pairing.relative(rigid.nodes.coordinates)
         gap = self.pairing.gap
         return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
 
@@ -134,12 +131,12 @@ class ContactSet:
         """Return the conditions of all contacts, one contact after the other. Collective."""
         numbers = [found.number for found in self.contacts]
         rows = contact_rows(self.pairings, self.boundary.nodes.components, numbers)
-        for found, positions in zip(self.contacts, self.positions, strict=True):
+        for found, own_rows in zip(self.contacts, self.positions, strict=True):
             if found.on_body is not None:
                 frame, places = self.bodies.frame_of(found.body), found.on_body.places
-                of_body = -(rows.length[:, None] * rows.normal)[positions]
+                of_body = -(rows.length[:, None] * rows.normal)[own_rows]
                 moved = frame.displacements(frame.body.prescribed_motion, places)
-                rows = frame.joined(rows, positions, places, of_body, moved)
+                rows = frame.joined(rows, own_rows, places, of_body, moved)
         return self.rigid.joined(rows, self.bodies)
 
     @property
@@ -160,10 +157,10 @@ class ContactSet:
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
         nodes, sites = self.boundary.nodes, []
-        for k, (found, positions) in enumerate(zip(self.contacts, self.positions, strict=True)):
+        for k, (found, own_rows) in enumerate(zip(self.contacts, self.positions, strict=True)):
             if found.friction is not None:
                 moved = self._obstacle_motion(found, found.friction, origin, k)
-                sites.append((positions, found.friction, moved))
+                sites.append((own_rows, found.friction, moved))
         if not sites:
             return Friction.none(nodes.components)
         displacement = origin.displacement - (0.0 if start is None else start)
@@ -184,7 +181,7 @@ class ContactSet:
         if on is None:
             return friction.obstacle_displacement - earlier
         frame, u = self.bodies.frame_of(found.body), origin.displacement
-        start = pairing.relative(nodes, nodes.coordinates + u.reshape(-1, nodes.components))
+        start = pairing.relative(nodes.coordinates + u.reshape(-1, nodes.components))
         slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
         ahead = frame.displacements(frame.ahead(self.from_here), on.places)
         moved: Vector = on.slave - start + ahead - slid
@@ -284,7 +281,7 @@ class ContactSet:
     ) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
         nodes, pairing, motion = self.boundary.nodes, found.pairing, frame.motion
-        x = pairing.relative(nodes, nodes.coordinates + nodes.values(uh)[: nodes.owned])
+        x = pairing.relative(nodes.coordinates + nodes.values(uh)[: nodes.owned])
         places = x + _along(pairing.normal, distance) - motion[: nodes.components]
         moved = np.sum(pairing.normal * frame.displacements(motion, places), axis=1)
         pairing = replace(pairing, gap=pairing.gap - moved)

@@ -147,9 +147,10 @@ def test_known_obstacle_is_evaluated_again():
     boundary = MeshBoundary.of(V)
     known = match_contacts(boundary, [floor])
     height[0] = 0.75
-    again = match_contacts(boundary, [floor], [(floor, known[0])])[0]
+    again = match_contacts(boundary, [floor], [(floor, known[0])], names=["contact 1"])[0]
     np.testing.assert_allclose(again.gap, known[0].gap - 0.25, rtol=1e-14)
-    assert again.surface is known[0].surface
+    assert again.surface.nodes is known[0].surface.nodes
+    assert again.name == again.summary["contact"] == "contact 1"
 
 
 def test_rows_of_all_contacts_follow_each_other():

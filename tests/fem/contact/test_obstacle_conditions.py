@@ -76,7 +76,7 @@ def test_gaps_in_the_deformed_state(cell, degree):
     u = fem.Function(space)
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
     slave = before.surface.gathered(u)
-    normal, gap, distance, _ = deformed_gaps(COMM, contact, "ground", slave, before.terms)
+    normal, gap, distance, _ = deformed_gaps(before.surface, contact, slave, before.terms)
     np.testing.assert_allclose(normal, before.normal)
     np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
     np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
@@ -92,7 +92,7 @@ def conditions(comm, cell, degree):
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
     slave = found.surface.gathered(u)
-    normal, gap, distance, _ = deformed_gaps(comm, contact, "ground", slave, found.terms)
+    normal, gap, distance, _ = deformed_gaps(found.surface, contact, slave, found.terms)
     columns = (found.coordinates, found.normal, found.gap, found.area, normal, gap, distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]

@@ -75,8 +75,8 @@ def _deformed(
 ) -> DeformedContact:
     """Measure a contact with its whole deformed surfaces; none for mortars. Collective."""
     if isinstance(contact, RigidObstacle):
-        comm, (slave,) = pairing.surface.comm, surfaces
-        normal, gap, distance, _ = deformed_gaps(comm, contact, pairing.name, slave, pairing.terms)
+        (slave,) = surfaces
+        normal, gap, distance, _ = deformed_gaps(pairing.surface, contact, slave, pairing.terms)
         new = replace(pairing, normal=normal, gap=gap)
         return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
@@ -137,7 +137,7 @@ def _deformed_mortar(
     )
     nodes = surface.boundary.nodes
     u = nodes.values(displacement)
-    relative = new.relative(nodes, u)
+    relative = new.relative(u)
     new = replace(new, gap=mean_distance + np.sum(relative * new.normal, axis=1))
     # a node that slid off the master is as far from it as its facets are large
     size = surface.size[pairing.on_surface]
@@ -146,7 +146,7 @@ def _deformed_mortar(
     distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
     x = surface.boundary.coordinates[:, : nodes.components] + u
-    offset = pairing.relative(nodes, x)[old_rows] - new.relative(nodes, x)[new_rows]
+    offset = pairing.relative(x)[old_rows] - new.relative(x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)

@@ -5,7 +5,7 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
-from mpi4py import MPI
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_OBSTACLE, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
@@ -40,8 +40,13 @@ def match_obstacle(
     the deformed surface alone, and conditions are wherever it may be met later.
     """
     tags, tag = contact.facet_tags, contact.slave
-    slave = earlier.surface if earlier else tagged_surface(boundary, tags, tag, name, "slave")
-    comm, is_linear = slave.comm, boundary.degree == 1
+    slave = (
+        # a contact without name is called by its number, which may be another one
+        replace(earlier.surface, names=[name])
+        if earlier
+        else tagged_surface(boundary, tags, tag, name, "slave")
+    )
+    is_linear = boundary.degree == 1
     covered = np.ones(len(slave.facet_nodes), dtype=bool)
     terms, facets = Terms.of_nodes(slave.nodes), None if is_linear else slave.oriented_part()
     nodal_gap = None
@@ -49,7 +54,7 @@ def match_obstacle(
         if displacement is None:
             normals = unit(facets.from_corners(facets.normal))
             places = _padded(facets.points)
-            nodal_gap, _ = gap_and_normal(comm, contact.obstacle, places, normals, name)
+            nodal_gap, _ = gap_and_normal(slave, contact.obstacle, places, normals)
             covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
         terms = one_sided_conditions(slave, facets, covered)
         if facets.weight is not None:
@@ -58,7 +63,7 @@ def match_obstacle(
     area = slave.areas(covered) if is_linear else terms.scale
     if displacement is None:
         places, facing = slave.coordinates[rows], slave.normal[rows]
-        gap, outward = gap_and_normal(comm, contact.obstacle, places, facing, name)
+        gap, outward = gap_and_normal(slave, contact.obstacle, places, facing)
         normal = -outward  # u'n <= gap with n pointing into the obstacle
         if facets is not None and nodal_gap is not None:
             # the nodes of a condition may be on facets of several ranks
@@ -68,11 +73,11 @@ def match_obstacle(
     else:
         displacement.x.scatter_forward()
         whole = slave.gathered(displacement)
-        normal, _, gap, facing = deformed_gaps(comm, contact, name, whole, terms)
+        normal, _, gap, facing = deformed_gaps(slave, contact, whole, terms)
     of_rows, angle = slave.contact[rows], angles_between(facing, normal)
     gap = slave.without_rounding(gap, of_rows)
     (summary,) = pairing_summaries(
-        comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
+        slave.comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
     )
     coverage = np.ones_like(gap)
     return ContactPairing(terms, normal, gap, area, summary, slave, covered, coverage)
@@ -88,7 +93,7 @@ def _mean_gap(terms: Terms, gap: Vector) -> Vector:
 
 
 def deformed_gaps(
-    comm: MPI.Intracomm, contact: RigidObstacle, name: str, slave: SurfaceFacets, terms: Terms
+    surface: Surface, contact: RigidObstacle, slave: SurfaceFacets, terms: Terms
 ) -> tuple[Vector, Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
@@ -96,11 +101,11 @@ def deformed_gaps(
     distances (k,) from the obstacle [m], for degree 2 the means around the nodes, and the normals
     of the surface, of which the slave has the deformed facets of all ranks.
     """
-    slave.check_not_folded(name)
+    slave.check_not_folded(surface.names[0])
     nodes, inverse = np.unique(terms.nodes, return_inverse=True)
     rows = np.searchsorted(slave.nodes, nodes)
     places, normals = _padded(slave.points[rows]), slave.normal[rows]
-    nodal, outward = gap_and_normal(comm, contact.obstacle, places, normals, name)
+    nodal, outward = gap_and_normal(surface, contact.obstacle, places, normals)
     distance = _mean_gap(terms, nodal[inverse])
     motion = terms.means(slave.displacement[rows[inverse]])
     own = np.searchsorted(nodes, terms.slave)
@@ -114,14 +119,14 @@ def _padded(points: Vector) -> Vector:
 
 
 def gap_and_normal(
-    comm: MPI.Intracomm, obstacle: Obstacle, points: Vector, normal: Vector, name: str
+    surface: Surface, obstacle: Obstacle, points: Vector, normal: Vector
 ) -> tuple[Vector, Vector]:
     """Return the gaps (k,) to an obstacle and its unit normals (k, gdim), checked. Collective.
 
     The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
     obstacle's normal the opposite of the body's.
     """
-    gdim = normal.shape[1]
+    comm, name, gdim = surface.comm, surface.names[0], normal.shape[1]
     with raise_collectively(comm):
         gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
     nothing = gap >= NO_OBSTACLE

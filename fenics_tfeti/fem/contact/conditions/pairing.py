@@ -202,9 +202,9 @@ class ContactPairing:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
 
-    def relative(self, nodes: NodeMap, values: Vector) -> Vector:
+    def relative(self, values: Vector) -> Vector:
         """Return means (k, q) of values (n, q), the slave's less the master's. Collective."""
-        return self.terms.means(nodes.values_at(values, self.terms.nodes))
+        return self.terms.means(self.surface.boundary.nodes.values_at(values, self.terms.nodes))
 
 
 @dataclass(frozen=True)

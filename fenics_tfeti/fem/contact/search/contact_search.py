@@ -121,7 +121,7 @@ class ContactSearch:
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
-                FoundContact(k, roles, pairing, pairing).placed(self.boundary.nodes, self.rigid)
+                FoundContact(k, roles, pairing, pairing).placed(self.rigid)
                 for (k, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)

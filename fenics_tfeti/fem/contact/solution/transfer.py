@@ -42,7 +42,7 @@ def gather_solved(
     solved = []
     for pairing, result in zip(pairings, results, strict=True):
         nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered(displacement)
-        relative = pairing.relative(nodes, nodes.values(displacement))
+        relative = pairing.relative(nodes.values(displacement))
         approach = np.sum(relative * pairing.normal, axis=1)
         columns = np.column_stack([np.ones_like(approach), result.pressure, approach])
         conditioned, columns = (
