@@ -189,11 +189,9 @@ class ContactSet:
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
-        space = self.boundary.space
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         contacts = [
-            replace(f, friction=nodal_friction(space, f.contact, f.pairing, fixed))
-            for f in self.contacts
+            replace(f, friction=nodal_friction(f.contact, f.pairing, fixed)) for f in self.contacts
         ]
         return replace(self, contacts=contacts)
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -93,35 +93,31 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
     return pair
 
 
-def nodal_friction(
-    space: FunctionSpace, contact: Contact, pairing: ContactPairing, fixed: Mask
-) -> NodalFriction | None:
+def nodal_friction(contact: Contact, pairing: ContactPairing, fixed: Mask) -> NodalFriction | None:
     """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
-    law, points, name = contact.friction, pairing.coordinates, pairing.name
+    law, surface = contact.friction, pairing.surface
     if law is None:
         return None
-    values = _law_values(space, law, pairing.slave, points, name)
+    values = _law_values(law, pairing)
     is_tresca = isinstance(law, Tresca)
     moved = np.zeros_like(pairing.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
-        label, gdim = f"{name}: the obstacle's displacement", moved.shape[1]
-        moved = vectors_at(space.mesh.comm, contact.displacement, points, gdim, label)
+        label, x = f"{pairing.name}: the obstacle's displacement", pairing.coordinates
+        moved = vectors_at(surface.comm, contact.displacement, x, moved.shape[1], label)
     return NodalFriction(
-        tangents(pairing.normal, fixed[pairing.surface.local][pairing.on_surface]),
+        tangents(pairing.normal, fixed[surface.local][pairing.on_surface]),
         np.where(is_tresca, values * pairing.area, 0.0),
         np.where(is_tresca, 0.0, values),
         moved,
     )
 
 
-def _law_values(
-    space: FunctionSpace, law: FrictionLaw, nodes: Numbers, points: Vector, name: str
-) -> Vector:
-    """Return a law's bound or coefficient (k,), at least 0, at nodes of this rank. Collective."""
+def _law_values(law: FrictionLaw, pairing: ContactPairing) -> Vector:
+    """Return a law's bound or coefficient (k,), at least 0, at the conditions. Collective."""
     ((label, value),) = vars(law).items()
-    label = f"{name}: {label}"
-    comm, gdim = space.mesh.comm, space.dofmap.index_map_bs
-    with raise_collectively(comm):
+    label, nodes = f"{pairing.name}: {label}", pairing.surface.boundary.nodes
+    space = nodes.space
+    with raise_collectively(nodes.comm):
         if isinstance(value, Function):
             source = value.function_space
             if source.mesh is not space.mesh:
@@ -132,8 +128,9 @@ def _law_values(
                     f"{label} is a Function of {family} elements of degree {degree} and shape "
                     f"{shape}; a scalar one of Lagrange elements of degree 1 is expected"
                 )
-            value = value.x.array[nodes_in(source, space)[nodes - NodeMap(space).first]]
-    return scalars_at(comm, value, points, gdim, label, lowest=0.0)
+            value = value.x.array[nodes_in(source, space)[pairing.slave - nodes.first]]
+    gdim = nodes.components
+    return scalars_at(nodes.comm, value, pairing.coordinates, gdim, label, lowest=0.0)
 
 
 def friction_rows(
