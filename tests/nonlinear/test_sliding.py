@@ -155,7 +155,7 @@ def test_force_of_a_ring_of_round_section_is_that_of_its_half():
     assert round_section(False) == pytest.approx(round_section(True), rel=1e-6)
 
 
-def crown_between_plates(is_held):
+def crown_between_plates(is_held, friction):
     """Return the force of a lid on a body with a crown, and the Newton steps."""
     parts = [
         ((-1, 0), (1, 1), (8, 4)),
@@ -177,8 +177,8 @@ def crown_between_plates(is_held):
     u = fem.Function(V)
     bodies.fix(5)
     bodies.fix(6, None, motion)
-    bodies.add_pair(1, 3)
-    bodies.add_pair(2, 4)
+    bodies.add_pair(1, 3, friction=friction)
+    bodies.add_pair(2, 4, friction=friction)
     if is_held:
         middle = fem.locate_dofs_geometrical(
             (V.sub(0), V.sub(0).collapse()[0]),
@@ -197,8 +197,12 @@ def crown_between_plates(is_held):
 
 
 @pytest.mark.ranks
-def test_body_that_only_contact_holds():
-    """It may slide freely between two plates: increments would take it far to either side."""
-    (free, steps), (held, _) = crown_between_plates(False), crown_between_plates(True)
+@pytest.mark.parametrize("friction", [None, Coulomb(0.3)])
+def test_body_that_only_contact_holds(friction):
+    """It may slide freely between two plates: increments would take it far to either side.
+
+    With friction it sticks where a crown of the same shape is held, and slides elsewhere.
+    """
+    (free, steps), (held, _) = (crown_between_plates(b, friction) for b in (False, True))
     assert free == pytest.approx(held, rel=1e-4)
     assert steps <= 20
