@@ -59,7 +59,7 @@ def test_picture_has_the_size_asked_for(cell, tmp_path):
 def test_obstacle_is_drawn_where_it_is(cell, tmp_path):
     """A floor makes the picture another one, an obstacle that is nowhere near does not."""
     u, _, stress = fields(cell)
-    normal = np.eye(GDIM[cell])[-1]
+    normal = np.eye(dimension(cell))[-1]
     pictures_of = {
         "none": [],
         "floor": [Plane((0, 0, 0), normal)],
