@@ -329,8 +329,7 @@ class ContactRows:
     @property
     def slave(self) -> Numbers:
         """The slave node of each row, (rows,)."""
-        nodes: Numbers = self.nodes[self.offsets[:-1]]
-        return nodes
+        return self.nodes[self.offsets[:-1]]
 
     @property
     def on_slave(self) -> NDArray[np.bool_]:
@@ -340,14 +339,12 @@ class ContactRows:
     @property
     def length(self) -> Vector:
         """The length D of the sum of the slave's coefficients in each row, (rows,)."""
-        lengths: Vector = np.linalg.norm(self._sum_of_slave, axis=1)
-        return lengths
+        return np.linalg.norm(self._sum_of_slave, axis=1)
 
     @property
     def normal(self) -> Vector:
         """The unit normal of each row, (rows, gdim)."""
-        normals: Vector = self._sum_of_slave / self.length[:, None]
-        return normals
+        return self._sum_of_slave / self.length[:, None]
 
     @property
     def _sum_of_slave(self) -> Vector:
@@ -548,8 +545,7 @@ def rows_of_terms(offsets: Numbers) -> Numbers:
 def terms_of_slaves(offsets: Numbers, slaves: Numbers) -> NDArray[np.bool_]:
     """Tell of which terms the nodes are slaves, (terms,): the first ones (rows,) of each row."""
     row = rows_of_terms(offsets)
-    mask: NDArray[np.bool_] = np.arange(row.size) - offsets[row] < slaves[row]
-    return mask
+    return np.arange(row.size) - offsets[row] < slaves[row]
 
 
 def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:

@@ -265,8 +265,7 @@ def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
     rows = sp.csr_matrix((moved.ravel(), places), shape=shape)
     _, free = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
     rotations = np.abs(free.toarray()).reshape(bodies, modes, -1)[:, gdim:]
-    held: Mask = rotations.max(axis=(1, 2), initial=0.0) <= NEGLIGIBLE
-    return held
+    return rotations.max(axis=(1, 2), initial=0.0) <= NEGLIGIBLE
 
 
 def _bodies_and_places(system: TornSystem, nodes: Numbers) -> tuple[Numbers, Vector]:

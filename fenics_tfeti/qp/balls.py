@@ -33,8 +33,7 @@ def project(y: Vector, radius: Vector) -> Vector:
 
 def inside(y: Vector, radius: Vector) -> Mask:
     """Tell which points are inside of their ball by more than rounding, (k,)."""
-    mask: Mask = np.linalg.norm(y, axis=1) < (1.0 - _AT_BOUNDARY) * radius
-    return mask
+    return np.linalg.norm(y, axis=1) < (1.0 - _AT_BOUNDARY) * radius
 
 
 def on_boundary(y: Vector, radius: Vector, where: Mask) -> Vector:

@@ -123,8 +123,7 @@ class Bounds:
     def on_boundary(self, x: Vector) -> Numbers:
         """Return the components at a bound; exact, since `project` assigns it."""
         bounded = x[self.indices]
-        components: Numbers = self.indices[(bounded <= self.lower) | (bounded >= self.upper)]
-        return components
+        return self.indices[(bounded <= self.lower) | (bounded >= self.upper)]
 
     def longest_step(self, x: Vector, p: Vector) -> float:
         """Return the largest a for which this rank's part of x - a p is feasible."""
@@ -195,8 +194,7 @@ class Discs:
         """Tell of which discs the point is on the boundary, up to rounding of the projection."""
         distance = self._from_centre(x)[1]
         rounding = _ON_BOUNDARY * (self.radius + np.abs(self.centre).sum(axis=1))
-        mask: Mask = distance >= self.radius - rounding
-        return mask
+        return distance >= self.radius - rounding
 
     def on_boundary(self, x: Vector) -> Numbers:
         """Return the components of the discs whose boundary the point is on."""
@@ -310,8 +308,7 @@ class FrictionCones:
     def reduced_gradient(self, x: Vector, g: Vector, step_length: float) -> Vector:
         """Return (x - P(x - a g)) / a on the cones, (k, 1 + d), a the step length."""
         y = x[self.indices]
-        reduced: Vector = (y - self._nearest(y - step_length * g[self.indices])) / step_length
-        return reduced
+        return (y - self._nearest(y - step_length * g[self.indices])) / step_length
 
     def _nearest(self, y: Vector) -> Vector:
         """Return the nearest points of blocks (k, 1 + d)."""
@@ -330,8 +327,7 @@ class FrictionCones:
 
     def _along(self, n: Vector, size: Vector) -> Vector:
         """Return n' of the nearest point of the line |t| = r + m n."""
-        along: Vector = (n + self.slope * (size - self.radius)) / (1.0 + self.slope**2)
-        return along
+        return (n + self.slope * (size - self.radius)) / (1.0 + self.slope**2)
 
 
 @dataclass(frozen=True)

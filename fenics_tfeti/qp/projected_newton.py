@@ -317,8 +317,7 @@ def _units(B: Any, feasible: ProductSet) -> Vector:
         return np.ones(B.shape[1])
     squares = B.multiply(B) if sp.issparse(B) else B**2
     lengths = np.sqrt(np.asarray(squares.sum(axis=0)).ravel())
-    units: Vector = np.divide(1.0, lengths, out=np.ones_like(lengths), where=lengths > 0.0)
-    return units
+    return np.divide(1.0, lengths, out=np.ones_like(lengths), where=lengths > 0.0)
 
 
 def _combinations(A: Any, d: Vector) -> tuple[Any, Vector, Vector]:
@@ -361,10 +360,8 @@ def _correction(B: Any, missing: Vector, feasible: ProductSet, v: Vector) -> Vec
         BD = (B @ D).tocsr()
         H = BD @ BD.T
         weight = _SPARSE * float(H.diagonal().max(initial=0.0))
-        step: Vector = D @ (BD.T @ _factor(H, weight or 1.0).solve(missing))
-        return step
-    y: Vector = D @ np.linalg.lstsq((D @ B.T).T, missing, rcond=None)[0]
-    return y
+        return D @ (BD.T @ _factor(H, weight or 1.0).solve(missing))
+    return D @ np.linalg.lstsq((D @ B.T).T, missing, rcond=None)[0]
 
 
 def _factor(H: Any, weight: float) -> Any:

@@ -49,8 +49,7 @@ class Space:
 
     def sums(self, *partial: float) -> list[float]:
         """Return several sums over all ranks by one reduction, given this rank's parts."""
-        total: list[float] = self.sum_over_ranks(np.array(partial)).tolist()
-        return total
+        return self.sum_over_ranks(np.array(partial)).tolist()
 
     def dots(self, *pairs: tuple[Vector, Vector]) -> list[float]:
         """Return several inner products by one reduction."""
@@ -59,8 +58,7 @@ class Space:
     def dots_and_min(self, *pairs: tuple[Vector, Vector], value: float) -> list[float]:
         """Return several inner products and the smallest value of all ranks by one reduction."""
         partial = [*(self.partial(x, y) for x, y in pairs), value]
-        total: list[float] = self.sum_and_min_over_ranks(np.array(partial)).tolist()
-        return total
+        return self.sum_and_min_over_ranks(np.array(partial)).tolist()
 
     def norm(self, x: Vector) -> float:
         """Return the Euclidean norm of x."""

@@ -184,8 +184,7 @@ class ContactSet:
         start = pairing.relative(nodes.coordinates + u.reshape(-1, nodes.components))
         slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
         ahead = frame.displacements(frame.ahead(self.from_here), on.places)
-        moved: Vector = on.slave - start + ahead - slid
-        return moved
+        return on.slave - start + ahead - slid
 
     def with_friction(self) -> ContactSet:
         """Return the set with friction evaluated at its conditions. Collective."""
@@ -302,8 +301,7 @@ class ContactSet:
 
     def dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
-        dofs: Numbers = nodes - self.boundary.nodes.first
-        return dofs
+        return nodes - self.boundary.nodes.first
 
 
 def consecutive(sizes: Sequence[int]) -> list[Numbers]:
@@ -313,5 +311,4 @@ def consecutive(sizes: Sequence[int]) -> list[Numbers]:
 
 def _along(normal: Vector, distance: Vector) -> Vector:
     """Return normals (k, gdim) times distances (k,), zero for infinite ones."""
-    steps: Vector = normal * np.where(np.isfinite(distance), distance, 0.0)[:, None]
-    return steps
+    return normal * np.where(np.isfinite(distance), distance, 0.0)[:, None]

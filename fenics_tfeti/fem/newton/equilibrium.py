@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
-from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.fem.displacement import owned_values, prescribed_components
 from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution
@@ -80,8 +80,7 @@ class DeformedRows:
     @property
     def distance(self) -> Vector:
         """Distances of the surfaces at each row (k,) [m], negative inside."""
-        distance: Vector = self.contacts.gap / self.contacts.length
-        return distance
+        return self.contacts.gap / self.contacts.length
 
     def turning_force(self, multipliers: Multipliers) -> Vector:
         """Return the normal forces that have `ContactStiffness`, at the nodes as `force`.
@@ -214,7 +213,7 @@ class Equilibrium:
         """
         nodes = rows.conditions.boundary.nodes
         contact, on_bodies = rows.force(multipliers)
-        free = _free(nodes, prescribed)
+        free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
         r = np.where(free, internal + contact, 0.0)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
         if nodes.comm.rank == 0:
@@ -238,15 +237,6 @@ class Equilibrium:
         return Equilibrium(
             residual / force, penetration / size, separation / size, force, _largest(nodes, r)
         )
-
-
-def _free(nodes: NodeMap, prescribed: Prescribed) -> Mask:
-    """Tell which components (nodes, gdim) of the owned nodes are not prescribed."""
-    free = np.ones((nodes.owned, nodes.components), dtype=bool)
-    local = prescribed.nodes - nodes.first
-    owned = (local >= 0) & (local < nodes.owned)
-    free[local[owned], prescribed.components[owned]] = False
-    return free
 
 
 def _largest(nodes: NodeMap, r: Vector) -> str:

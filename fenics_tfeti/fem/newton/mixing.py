@@ -60,8 +60,7 @@ class AndersonMixing:
         A, b = rows[:, :-1], rows[:, -1]
         size = np.linalg.norm(A, axis=0)
         size[size == 0.0] = 1.0
-        solution: Vector = np.linalg.lstsq(A / size, b, rcond=self._accuracy)[0] / size
-        return solution
+        return np.linalg.lstsq(A / size, b, rcond=self._accuracy)[0] / size
 
 
 def _differences(values: list[Vector]) -> Vector:

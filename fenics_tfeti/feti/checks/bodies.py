@@ -139,8 +139,7 @@ def _last_of_groups(value: Vector, group: Numbers) -> Numbers:
     """Return the position of the largest value of each group 0, 1, ..."""
     order = np.lexsort((value, group))
     last = np.append(np.diff(group[order]) != 0, True)[: group.size]
-    positions: Numbers = order[last]
-    return positions
+    return order[last]
 
 
 def _check_rigid(system: TornSystem, shared: _SharedNodes, bodies: Numbers, ends: Numbers) -> None:

@@ -44,8 +44,7 @@ class BodyMotions:
     def of_coarse(self) -> NDArray[np.int64]:
         """The body of each coarse unknown."""
         first = self.basis.indices[self.basis.indptr[:-1]]
-        body: NDArray[np.int64] = first.astype(np.int64) // np.diff(self.basis.indptr)
-        return body
+        return first.astype(np.int64) // np.diff(self.basis.indptr)
 
 
 def body_motions(
@@ -125,10 +124,8 @@ def _orthonormal_motions(gram: Vector) -> Vector:
     values, vectors = np.linalg.eigh(gram)
     moving = values > NEGLIGIBLE**2 * values[-1]
     if moving.all():
-        inverse: Vector = np.linalg.inv(np.linalg.cholesky(gram)).T
-        return inverse
-    basis: Vector = vectors * np.where(moving, 1.0 / np.sqrt(np.where(moving, values, 1.0)), 0.0)
-    return basis
+        return np.linalg.inv(np.linalg.cholesky(gram)).T
+    return vectors * np.where(moving, 1.0 / np.sqrt(np.where(moving, values, 1.0)), 0.0)
 
 
 def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:

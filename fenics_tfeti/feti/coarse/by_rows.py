@@ -78,8 +78,7 @@ def _groups(comm: MPI.Intracomm, number: int) -> tuple[MPI.Intracomm, MPI.Intrac
         first_ranks = comm.Split(MPI.UNDEFINED if group.rank else 0, comm.rank)
         known = known | {number: (group, first_ranks)}
         comm.Set_attr(_KEYVAL, known)
-    communicators: tuple[MPI.Intracomm, MPI.Intracomm] = known[number]
-    return communicators
+    return known[number]
 
 
 class MultigridSolver:
@@ -137,8 +136,7 @@ class MultigridSolver:
             self._b.array_w[:] = own
             self._ksp.solve(self._b, self._x)
             if self._ksp.getConvergedReason() > 0:
-                x: Vector = self._x.array_r.copy()
-                return x
+                return self._x.array_r.copy()
             if self._comm.rank == 0:
                 logger.info(
                     "coarse problem: no convergence in %d iterations with GAMG, factored by MUMPS",

@@ -71,10 +71,7 @@ def of_one_body(motions: sp.csc_matrix, modes: int) -> NDArray[np.bool_]:
     body, starts = motions.indices // modes, motions.indptr[:-1]
     if not starts.size:
         return np.zeros(0, dtype=bool)
-    alone: NDArray[np.bool_] = np.minimum.reduceat(body, starts) == np.maximum.reduceat(
-        body, starts
-    )
-    return alone
+    return np.minimum.reduceat(body, starts) == np.maximum.reduceat(body, starts)
 
 
 def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr_matrix:

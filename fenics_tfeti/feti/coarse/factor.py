@@ -203,8 +203,7 @@ class CoarseFactor:
     def solve(self, coarse: Vector) -> Vector:
         """Solve for a vector, or the columns of a matrix, that every rank has; so it has all."""
         if not self.by_rows:
-            solution: Vector = self.solver.solve(coarse) if self.solver else coarse
-            return solution
+            return self.solver.solve(coarse) if self.solver else coarse
         own = coarse[self.layout.own]
         solved = np.array([self.solver.solve(column) for column in np.atleast_2d(own.T)])
         return self.layout.gather(solved.T.reshape(own.shape))

@@ -113,8 +113,7 @@ class Projector:
         """Return a coarse vector without its part in the motions that the rows do not resist."""
         if not self.free.shape[1]:
             return coarse
-        part: Vector = coarse - self.free @ (self.free.T @ coarse)
-        return part
+        return coarse - self.free @ (self.free.T @ coarse)
 
     def unresisted(self, e: Vector, size: Vector) -> Vector:
         """Return the part of a coarse load that does work on motions that the rows do not resist.

@@ -106,8 +106,7 @@ def _of_single_bodies(
 
 def _triangles(*parts: Vector) -> Vector:
     """Return the triangular factors (k, modes, modes) of matrices (k, n, modes) put together."""
-    factors: Vector = np.asarray(np.linalg.qr(np.concatenate(parts, axis=1), mode="r"))
-    return factors
+    return np.asarray(np.linalg.qr(np.concatenate(parts, axis=1), mode="r"))
 
 
 def _rows_of_bodies(rows: sp.csc_matrix, modes: int) -> Iterator[tuple[Numbers, Vector]]:
@@ -132,8 +131,7 @@ def _translations_first(motions: Vector) -> Vector:
     """Return other bases of motions (g, modes, k) of a body: those that turn it least first."""
     translations = 2 if motions.shape[1] == 3 else 3
     turns = np.linalg.svd(motions[:, translations:])[2]
-    basis: Vector = motions @ np.swapaxes(turns[:, ::-1], 1, 2)
-    return basis
+    return motions @ np.swapaxes(turns[:, ::-1], 1, 2)
 
 
 def _gathered(comm: MPI.Intracomm, numbers: Numbers, rows: Vector) -> tuple[Numbers, Vector]:
@@ -243,8 +241,7 @@ def _by_inverse_iteration(gram: sp.csr_matrix, limit: float) -> _Eigenvectors:
 
 def _without(z: Vector, x: Vector) -> Vector:
     """Return x without its part in the range of orthonormal columns z."""
-    rest: Vector = x - z @ (z.T @ x)
-    return rest
+    return x - z @ (z.T @ x)
 
 
 def _assembled(parts: Sequence[_Part], blocks: Sequence[Vector], size: int) -> sp.csr_matrix:

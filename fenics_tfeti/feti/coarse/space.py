@@ -124,8 +124,7 @@ class CoarseSpace:
 
     def restrict_own(self, x: Vector) -> Vector:
         """Return Gx for this rank's coarse unknowns."""
-        part: Vector = self._own_transposed @ x
-        return part
+        return self._own_transposed @ x
 
     @cached_property
     def _own_transposed(self) -> sp.csc_matrix:
@@ -138,8 +137,7 @@ class CoarseSpace:
 
     def prolong_own(self, own: Vector) -> Vector:
         """Return what this rank's coarse unknowns add to G'a."""
-        part: Vector = self.own @ own
-        return part
+        return self.own @ own
 
     def columns(self, rows: Mask, combined: sp.csr_matrix | None) -> sp.csr_matrix:
         """Return the columns of G of some rows (m,), but equality rows, on all ranks' unknowns.
@@ -191,8 +189,7 @@ class CoarseSpace:
 
     def _places(self, congruent: CongruenceClass) -> Numbers:
         modes = self.kernels[congruent.first].shape[1]
-        places: Numbers = self.ends[congruent.members][:, None] + np.arange(modes)
-        return places
+        return self.ends[congruent.members][:, None] + np.arange(modes)
 
     def weakly_resisted(
         self, rows: Mask, below: float = WEAK, combinations: sp.csr_matrix | None = None
@@ -244,8 +241,7 @@ class CoarseSpace:
 
         The motions z of bodies are (modes * bodies,) or (modes * bodies, k).
         """
-        moved: Vector = (self.constraints.row_lengths * (self.bodies.moved @ z).T).T
-        return moved
+        return (self.constraints.row_lengths * (self.bodies.moved @ z).T).T
 
 
 def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:

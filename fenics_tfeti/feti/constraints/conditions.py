@@ -75,8 +75,7 @@ class ConditionRows:
     @property
     def kept(self) -> Mask:
         """Which of this rank's conditions became rows of B."""
-        mask: Mask = self.given.number >= 0
-        return mask
+        return self.given.number >= 0
 
 
 @dataclass(frozen=True)

@@ -64,8 +64,7 @@ class Coupling:
     @cached_property
     def block(self) -> Numbers:
         """The diagonal block of W that each row belongs to, (w,)."""
-        blocks: Numbers = connected_components(self.gram, directed=False)[1].astype(np.int64)
-        return blocks
+        return connected_components(self.gram, directed=False)[1].astype(np.int64)
 
     def gather(self, *local: Vector) -> Vector:
         """Return the coupled rows of vectors (m,), (k, w), the same on all ranks. Collective."""
@@ -142,8 +141,7 @@ class GramInverse:
     def _without_null(self, x: Vector) -> Vector:
         if not self.null.shape[1]:
             return x
-        part: Vector = x - self.null @ (self.null.T @ x)
-        return part
+        return x - self.null @ (self.null.T @ x)
 
 
 def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
@@ -183,13 +181,11 @@ def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
 def null_space(W: Vector) -> Vector:
     """Return an orthonormal basis (k, n) of the kernel of a Gram matrix (k, k) of unit rows."""
     values, vectors = np.linalg.eigh(W)
-    basis: Vector = vectors[:, values <= PARALLEL]
-    return basis
+    return vectors[:, values <= PARALLEL]
 
 
 def _block(W: sp.csr_matrix, members: Numbers) -> Vector:
-    block: Vector = W[members][:, members].toarray()
-    return block
+    return W[members][:, members].toarray()
 
 
 def _factor(W: sp.csr_matrix) -> SuperLU:

@@ -58,8 +58,7 @@ class DualLayout:
         """Return the local positions of global numbers that this rank holds."""
         inverse = np.empty(self._order.size, dtype=np.int64)
         inverse[self._order] = np.arange(self._order.size)
-        positions: Numbers = inverse[np.searchsorted(self._sorted, numbers)]
-        return positions
+        return inverse[np.searchsorted(self._sorted, numbers)]
 
     def sum(self, part: Vector) -> Vector:
         """Add up the parts of each component over the ranks that hold it; one exchange.
@@ -157,5 +156,4 @@ def seeded_vector(numbers: NDArray[np.int64]) -> Vector:
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
         z = (z ^ (z >> np.uint64(shift))) * np.uint64(factor)
     z ^= z >> np.uint64(31)
-    values: Vector = z / 2.0**63 - 1.0
-    return values
+    return z / 2.0**63 - 1.0

@@ -74,8 +74,7 @@ def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Nu
     forces = np.maximum(rows @ z - gaps, 0.0)
     if forces.max() <= SAME_VALUE * violation:
         return near[:0]
-    found: Numbers = near[forces > SAME_VALUE * forces.max()]
-    return found
+    return near[forces > SAME_VALUE * forces.max()]
 
 
 def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> None:

@@ -35,8 +35,7 @@ class Tangential:
     @property
     def mask(self) -> Mask:
         """Which rows are tangential."""
-        mask: Mask = self.site >= 0
-        return mask
+        return self.site >= 0
 
     def chosen(self, rows: Numbers | Mask) -> Tangential:
         """Return those of some rows."""
@@ -52,8 +51,7 @@ class SlipBound:
 
     def at(self, pressing: Vector) -> Vector:
         """Return the bound (k,) at normal multipliers lambda_N."""
-        radius: Vector = self.radius + self.slope * pressing
-        return radius
+        return self.radius + self.slope * pressing
 
 
 @dataclass(frozen=True)
@@ -129,19 +127,16 @@ class FrictionRows:
     @property
     def present(self) -> Mask:
         """Which directions of each site have a row, (k, gdim - 1)."""
-        mask: Mask = self.rows >= 0
-        return mask
+        return self.rows >= 0
 
     @property
     def flat(self) -> Numbers:
         """The local positions of all rows."""
-        positions: Numbers = self.rows[self.present]
-        return positions
+        return self.rows[self.present]
 
     def owned(self, owned: int) -> Mask:
         """Tell which sites this rank owns, of a layout with so many owned rows."""
-        mask: Mask = self.rows.max(axis=1, initial=-1) < owned
-        return mask
+        return self.rows.max(axis=1, initial=-1) < owned
 
     def at_sites(self, x: Vector) -> Vector:
         """Return a vector (m,) at the sites, (k, gdim - 1), zero in directions without a row."""
@@ -158,8 +153,7 @@ class FrictionRows:
         part, at = np.zeros(layout.numbers.size), self.rows.max(axis=1, initial=-1)
         here = self.own >= 0
         part[at[self.own[here]]] = values[here]
-        at_sites: Vector = layout.sum(part)[at]
-        return at_sites
+        return layout.sum(part)[at]
 
     def pressing(self, multipliers: Vector, layout: DualLayout) -> Vector:
         """Return lambda_N >= 0 at the sites, (k,); 0 without a contact row. Collective.
@@ -174,20 +168,17 @@ class FrictionRows:
 
     def numbers(self, layout: DualLayout) -> Vector:
         """Return a number for each site, (k,), the same on all ranks."""
-        numbers: Vector = layout.numbers[self.rows.max(axis=1, initial=-1)].astype(np.float64)
-        return numbers
+        return layout.numbers[self.rows.max(axis=1, initial=-1)].astype(np.float64)
 
     def normal_numbers(self, layout: DualLayout) -> Numbers:
         """Return the global numbers of the sites' contact rows, (k,); -1 for none. Collective."""
         numbers = np.append(layout.numbers, -1)[self.normal]
-        found: Numbers = self.from_given(numbers + 1.0, layout).astype(np.int64) - 1
-        return found
+        return self.from_given(numbers + 1.0, layout).astype(np.int64) - 1
 
     def given(self, at_sites: Vector) -> Vector:
         """Return values at sites (k, ...) for those that this rank gave, in its order."""
         with_none = np.concatenate([at_sites, np.zeros((1, *at_sites.shape[1:]))])
-        values: Vector = with_none[self.own]
-        return values
+        return with_none[self.own]
 
     def spread(self, at_sites: Vector, size: int) -> Vector:
         """Return values at sites, (k,) or (k, gdim - 1), on their rows, (m,), zero on others."""
@@ -231,8 +222,7 @@ class FrictionRows:
 
     def within(self, rows: Mask) -> Mask:
         """Tell of which sites the rows are in a mask (m,)."""
-        mask: Mask = (rows[self.rows] & self.present).any(axis=1)
-        return mask
+        return (rows[self.rows] & self.present).any(axis=1)
 
     def moved(self, places: Numbers) -> FrictionRows:
         """Return the rows at new local positions, by the old ones."""

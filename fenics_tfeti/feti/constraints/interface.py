@@ -60,8 +60,7 @@ class Interface:
             np.full(c.members.size, u.size, dtype=np.int64)
             for c, u in zip(self.classes, self.unknowns, strict=True)
         ]
-        ends: Numbers = np.cumsum(np.concatenate([np.zeros(1, dtype=np.int64), *sizes]))
-        return ends
+        return np.cumsum(np.concatenate([np.zeros(1, dtype=np.int64), *sizes]))
 
     def blocks(self, packed: Vector) -> list[Vector]:
         """Return a packed vector as matrices (k, interface unknowns), one for each class."""

@@ -113,8 +113,7 @@ def largest_coordinate(system: TornSystem) -> float:
 def _equality_rows(multiplicity: Numbers, prescribed: Mask) -> Numbers:
     """Return the number of equality rows of each node: k for prescribed components, else k - 1."""
     k = multiplicity[:, None]
-    rows: Numbers = np.where(prescribed, k, k - 1).sum(axis=1)
-    return rows
+    return np.where(prescribed, k, k - 1).sum(axis=1)
 
 
 def _merge_prescribed(

@@ -103,8 +103,7 @@ class _Rows:
 def _in_several_rows(directory: Directory, node: Numbers) -> Mask:
     """Return which terms are at nodes that several rows, of any rank, act on."""
     count = directory.sums(node, np.ones(node.size))
-    several: Mask = directory.lookup(node, count)[1] > 1
-    return several
+    return directory.lookup(node, count)[1] > 1
 
 
 def _examine(

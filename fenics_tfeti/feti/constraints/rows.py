@@ -50,8 +50,7 @@ class SurfaceRows:
         # -1 is the last one, zero; a rank may give rows without holding a single row of B
         force = np.zeros(multipliers.size + 1)
         force[self.rows] = self.scale * multipliers[self.rows]
-        forces: Vector = force[self.own_rows]
-        return forces
+        return force[self.own_rows]
 
     def moved(self, places: Numbers) -> SurfaceRows:
         """Return the rows at new local positions, by the old ones."""

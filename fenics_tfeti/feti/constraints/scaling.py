@@ -65,8 +65,7 @@ def unit_scale(flexibility: Vector) -> Vector:
     The flexibility is B D^{-1} B' of the rows without them.
     """
     rigid = flexibility <= RIGID**-0.75
-    scale: Vector = 1.0 / np.sqrt(np.where(rigid, 1.0, flexibility))
-    return scale
+    return 1.0 / np.sqrt(np.where(rigid, 1.0, flexibility))
 
 
 def _diagonals(system: TornSystem, ratios: Mapping[int, float]) -> Vector:

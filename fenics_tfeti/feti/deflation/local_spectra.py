@@ -201,8 +201,7 @@ def new_directions(basis: Vector, x: Vector) -> Vector:
     for _ in range(2):
         x = x - basis @ (basis.T @ x)
     Q, R = np.linalg.qr(x)
-    new: Vector = Q[:, np.abs(np.diag(R)) > ZERO * size]
-    return new
+    return Q[:, np.abs(np.diag(R)) > ZERO * size]
 
 
 def _first_subspaces(

@@ -73,8 +73,7 @@ def flexible_subdomains(
         u = root * trial.values.T
         squares = np.sum((u - Q @ (Q.T @ u)) ** 2, axis=0)
         found.append(np.full(congruent.members.size, trial.largest(squares)))
-    large: Mask = np.concatenate(found) > limits
-    return large
+    return np.concatenate(found) > limits
 
 
 def _ratio_of_neighbours(
@@ -115,5 +114,4 @@ def _over_copies(system: TornSystem, weights: Vector) -> Vector:
     directory = Directory(system.comm, nodes)
     part: Vector = np.bincount(position, weights, nodes.size).astype(np.float64)
     sums = directory.sums(nodes, part)
-    whole: Vector = directory.lookup(nodes, sums)[1][position]
-    return whole
+    return directory.lookup(nodes, sums)[1][position]

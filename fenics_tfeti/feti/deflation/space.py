@@ -151,8 +151,7 @@ class Deflation:
         for _ in range(2 if self.vectors.twice else 1):
             work = self._combined(self.pieces @ displacements)
             displacements = displacements - self._response(self._solve(work))
-        part: Vector = interface.matrix @ displacements
-        return part
+        return interface.matrix @ displacements
 
     def reduced(self, y: Vector) -> Vector:
         """Return y - FU (U'FU)^{-1} U'y: d_c of d. Collective."""
@@ -212,8 +211,7 @@ class Deflation:
 
     def _solve(self, right: Vector) -> Vector:
         """Return (U'FU)^+ applied to a vector."""
-        alpha: Vector = self.basis @ ((self.basis.T @ right) / self.energies)
-        return alpha
+        return self.basis @ ((self.basis.T @ right) / self.energies)
 
 
 def at_most(comm: MPI.Intracomm, vectors: LocalVectors, most: int = _MOST) -> LocalVectors:

@@ -96,8 +96,7 @@ class StiffModes:
     @property
     def deflated(self) -> Vector:
         """The part D^{-1/2} v (b,) of a dilatation in the modes, zero if there are none."""
-        vector: Vector = self.vectors @ self.dilatation / self.root
-        return vector
+        return self.vectors @ self.dilatation / self.root
 
 
 def deflated_vectors(

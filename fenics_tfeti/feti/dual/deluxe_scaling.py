@@ -125,15 +125,13 @@ class DeluxeScaling:
         for congruent, V in zip(interface.classes, self.modes, strict=True):
             begin, end = end, end + congruent.members.size * V.shape[1]
             blocks.append(sizes[begin:end].reshape(congruent.members.size, V.shape[1]) @ V.T)
-        rows: Vector = interface.matrix @ interface.pack(blocks)
-        return rows
+        return interface.matrix @ interface.pack(blocks)
 
 
 def _columns(stiff: StiffModes, unit: float) -> Vector:
     """Return V (b, j) of a class."""
     size = np.sqrt(unit * stiff.values / (1.0 + stiff.values))
-    columns: Vector = stiff.vectors * size / stiff.root[:, None]
-    return columns
+    return stiff.vectors * size / stiff.root[:, None]
 
 
 def _of_rows(

@@ -98,8 +98,7 @@ class DirectFaces:
         def solve(x: Vector) -> Vector:
             y = (C @ x) / D
             y -= (B @ factor.solve(B.T @ y)) / D
-            on_rows: Vector = C.T @ y
-            return on_rows
+            return C.T @ y
 
         return solve
 

@@ -110,8 +110,7 @@ class ExplicitInverse:
     def __call__(self, rows: Vector) -> Vector:
         """Apply it to each row of a (k, b) matrix."""
         if self.orbits.group.order == 1:
-            product: Vector = rows @ self.blocks[0]
-            return product
+            return rows @ self.blocks[0]
         result = np.empty_like(rows)
         for start in range(0, len(rows), ROWS):
             some = slice(start, start + ROWS)

@@ -69,8 +69,7 @@ class DualOperator:
     def part(self, multipliers: Vector) -> Vector:
         """Return what this rank's subdomains add to F lambda: a solve or product for each class."""
         interface = self.interface
-        jumps: Vector = interface.matrix @ self.packed(interface.transposed @ multipliers)
-        return jumps
+        return interface.matrix @ self.packed(interface.transposed @ multipliers)
 
     def packed(self, forces: Vector) -> Vector:
         """Return K^+ forces for packed forces on the interface."""
@@ -78,8 +77,7 @@ class DualOperator:
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
-        forces: Vector = self.constraints.matrix.T @ multipliers
-        return forces
+        return self.constraints.matrix.T @ multipliers
 
     def jumps(self, displacement: Vector) -> Vector:
         """Return Bu of a torn displacement; one neighbour exchange."""

@@ -157,8 +157,7 @@ class Face:
         if proximal is None:
             return derivative
         pull = self.projector.on_rows(proximal.centre) / proximal.stiffness
-        without: Vector = derivative - pull
-        return without
+        return derivative - pull
 
     def _bounded(self, x: Vector) -> Vector:
         """Return x on the rows of the face that have bounds."""
@@ -409,8 +408,7 @@ def _nearest_on_face(problem: DualProblem, face: Face, multipliers: Vector) -> V
     projector = face.projector
     l = projector.on_rows(multipliers) + face.contact_state.forces
     missing = problem.e - problem.coarse_space.restrict(l)
-    nearest: Vector = l + projector.least_norm(missing)
-    return nearest
+    return l + projector.least_norm(missing)
 
 
 def _product(problem: DualProblem, x: Vector, products: Products) -> Vector:

@@ -226,8 +226,7 @@ def interface_operator(
 
     def apply(x: Vector) -> Vector:
         displacements = weighted(interface.transposed @ x)
-        part: Vector = interface.matrix @ weighted(interface.apply(reactions, displacements))
-        return part
+        return interface.matrix @ weighted(interface.apply(reactions, displacements))
 
     return apply
 
@@ -265,8 +264,7 @@ def _reaction(
 
     def schur_complement(u: Vector) -> Vector:
         follow = factor.solve(K_ib @ u.T if len(u) > 1 else K_ib @ u[0])
-        reaction: Vector = times_rows(K_bb, u) - (K_bi @ follow).T
-        return reaction
+        return times_rows(K_bb, u) - (K_bi @ follow).T
 
     return schur_complement
 

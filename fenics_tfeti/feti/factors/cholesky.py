@@ -312,12 +312,10 @@ class _RslabFactor:
             raise _Unusable(f"{zero} zero pivots")
 
     def solve(self, b: Vector) -> Vector:
-        x: Vector = self._factor.solve(np.ascontiguousarray(b, dtype=np.float64))
-        return x
+        return self._factor.solve(np.ascontiguousarray(b, dtype=np.float64))
 
     def solve_columns(self, b: Vector) -> Vector:
-        x: Vector = self._factor.solve_many(b)
-        return x
+        return self._factor.solve_many(b)
 
     @property
     def entries(self) -> int:
@@ -381,8 +379,7 @@ class _PetscFactor:
     def solve(self, b: Vector) -> Vector:
         self._b.array_w[:] = b
         self._factor.solve(self._b, self._x)
-        x: Vector = self._x.array_r.copy()
-        return x
+        return self._x.array_r.copy()
 
     def solve_columns(self, b: Vector) -> Vector:
         B = PETSc.Mat().createDense(b.shape, array=b.ravel("F"), comm=PETSc.COMM_SELF)
@@ -511,8 +508,7 @@ class DistributedCholesky:
         """Return this rank's part of the solution for its part of the right-hand side."""
         self._b.array_w[:] = b
         self._factor.solve(self._b, self._x)
-        x: Vector = self._x.array_r.copy()
-        return x
+        return self._x.array_r.copy()
 
     @property
     def entries(self) -> int:

@@ -106,8 +106,7 @@ class SupernodalFactor:
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
-        x: Vector = self._solved(self._places, np.ascontiguousarray(b, dtype=np.float64)[None])[0]
-        return x
+        return self._solved(self._places, np.ascontiguousarray(b, dtype=np.float64)[None])[0]
 
     def solve_columns(self, b: Vector) -> Vector:
         """Solve for the columns of a matrix (n, k) in Fortran order."""
@@ -146,13 +145,11 @@ class DowndatedFactor:
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
-        x: Vector = self._factor.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
-        return x
+        return self._factor.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
 
     def solve_columns(self, b: Vector) -> Vector:
         """Solve for the columns of a matrix (n, k) in Fortran order."""
-        x: Vector = self._factor.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
-        return x
+        return self._factor.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
 
     def between(self, unknowns: Numbers) -> Operator:
         """Return the inverse between some unknowns, for the rows of a matrix (k, b)."""

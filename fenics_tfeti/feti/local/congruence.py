@@ -45,8 +45,7 @@ class CongruenceClass:
     @property
     def places(self) -> Numbers:
         """The torn unknowns of each member, (k, n)."""
-        places: Numbers = self.starts[:, None] + np.arange(self.size)
-        return places
+        return self.starts[:, None] + np.arange(self.size)
 
     @property
     def _range(self) -> slice | None:

@@ -55,8 +55,7 @@ def fixing_nodes(
 
 def unknowns_of_nodes(nodes: Numbers, gdim: int) -> Numbers:
     """Return the unknowns of nodes, node by node."""
-    unknowns: Numbers = (gdim * nodes[:, None] + np.arange(gdim)).ravel()
-    return unknowns
+    return (gdim * nodes[:, None] + np.arange(gdim)).ravel()
 
 
 def _centre(coordinates: Vector, part: Numbers) -> int:

@@ -29,8 +29,7 @@ def out_of_frame(values: Vector, frame: Vector | None) -> Vector:
     if frame is None:
         return values
     nodal = values.reshape(len(values) // len(frame), len(frame), -1)
-    turned: Vector = (frame @ nodal).reshape(values.shape)
-    return turned
+    return (frame @ nodal).reshape(values.shape)
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,7 @@ def rigid_body_modes(coordinates: Vector) -> Vector:
         return R
     # rotations about a line, or about a node, move nothing
     left, values, _ = np.linalg.svd(modes, full_matrices=False)
-    basis: Vector = left[:, values > _NO_ROTATION * values[0]]
-    return basis
+    return left[:, values > _NO_ROTATION * values[0]]
 
 
 def translations_and_rotations(coordinates: Vector) -> tuple[Vector, Vector]:

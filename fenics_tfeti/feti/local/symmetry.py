@@ -72,8 +72,7 @@ class SymmetryGroup:
 
     def nodes(self, gdim: int) -> Numbers:
         """Return the images of nodes, (g, nodes), for unknowns node by node."""
-        images: Numbers = self.images[:, ::gdim] // gdim
-        return images
+        return self.images[:, ::gdim] // gdim
 
 
 def find_symmetries(stiffness: sp.csr_matrix, coordinates: Vector) -> SymmetryGroup:

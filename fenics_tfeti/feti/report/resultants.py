@@ -246,8 +246,7 @@ def _points(
     local = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
     directory = Directory(system.comm, np.unique(nodes))
     table = directory.table(system.nodes[local], x[local])
-    coordinates: Vector = directory.lookup(nodes, *table)[1]
-    return coordinates
+    return directory.lookup(nodes, *table)[1]
 
 
 def _size(forces: Vector) -> float:

@@ -117,8 +117,7 @@ class PrimalProblem:
         magnitudes, terms = map(constraints.layout.sum, (magnitudes, terms))
         magnitudes += np.abs(self.data.c) + np.abs(self.data.removed)
         size = friction.at_sites(magnitudes * (terms + 1.0))
-        mask: Mask = (np.abs(slips) <= rounding(size)).all(axis=1)
-        return mask
+        return (np.abs(slips) <= rounding(size)).all(axis=1)
 
     @property
     def _comm(self) -> MPI.Intracomm:
@@ -230,8 +229,7 @@ class PrimalProblem:
         missing, size = (np.sqrt(np.bincount(body, x**2, bodies)) for x in (missing, size))
         of_springs = FEW * np.sqrt(self.setup.local.unit * rounding2)
         of_forces = rounding(float(np.linalg.norm(size)), FEW)
-        mask: Mask = missing > ZERO * size + of_forces + of_springs
-        return mask
+        return missing > ZERO * size + of_forces + of_springs
 
     def _energy_of_motions(self, recovered: Recovered) -> float:
         """Return the energy of the rigid motions that close jumps, if rows were springs."""

@@ -259,8 +259,7 @@ def _free_motions(face: Projector, loose: LooseBodies, gap: Vector, multipliers:
             S = sp.vstack([loose.closing, backwards], format="csr")
             left = np.append(gap[loose.rows], slips) - S @ (T @ z)
             z = z + least_penetration(coarse_space, S, left, T)
-    alpha: Vector = coarse_space.coarse_motions(T @ z)
-    return alpha
+    return coarse_space.coarse_motions(T @ z)
 
 
 def _slips_against_friction(

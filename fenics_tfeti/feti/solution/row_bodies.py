@@ -69,8 +69,7 @@ class RowBodies:
         graph = sp.coo_matrix(
             (np.ones(first.size), (first, last)), shape=(self.bodies, self.bodies)
         )
-        group: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
-        return group
+        return connected_components(graph, directed=False)[1].astype(np.int64)
 
     def largest(self, of_body: Vector, rows: int) -> Vector:
         """Return the largest value among the bodies of each inequality row, of `rows` rows."""
@@ -109,8 +108,7 @@ def _bodies_of_rows(
 def _pairs(row: Numbers, body: Numbers) -> Numbers:
     """Return the distinct pairs (2, q) of the first body of a row and each of its bodies."""
     first = body[np.searchsorted(row, row)]
-    pairs: Numbers = np.unique(np.stack([first, body]), axis=1)
-    return pairs
+    return np.unique(np.stack([first, body]), axis=1)
 
 
 def without_unloaded_groups(
@@ -139,5 +137,4 @@ def without_unloaded_groups(
     unloaded = (sums[:size] == 0.0) & (sums[size:] >= 0.0)
     part = np.zeros(multipliers.size)
     part[rows] = unloaded[row_group]
-    result: Vector = np.where(layout.sum(part) > 0.0, 0.0, multipliers)
-    return result
+    return np.where(layout.sum(part) > 0.0, 0.0, multipliers)

@@ -89,8 +89,7 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
     axis = np.argmax(along2 + 2.0 * (prescribed & (along2 > 1e-12)), axis=1)
     first = np.identity(3)[axis] - normal[np.arange(k), axis][:, None] * normal
     first /= np.linalg.norm(first, axis=1)[:, None]
-    pair: Vector = np.stack([first, np.cross(normal, first)], axis=1)
-    return pair
+    return np.stack([first, np.cross(normal, first)], axis=1)
 
 
 def nodal_friction(contact: Contact, pairing: ContactPairing, fixed: Mask) -> NodalFriction | None:

@@ -261,16 +261,14 @@ def _near_lines(
 
     def near(row: Numbers, low: Vector, high: Vector) -> Mask:
         distance = _distance_across(0.5 * (low + high) - x[row], lines[row])
-        is_near: Mask = distance <= reach[row] + 0.5 * np.linalg.norm(high - low, axis=1)
-        return is_near
+        return distance <= reach[row] + 0.5 * np.linalg.norm(high - low, axis=1)
 
     return BoxTree(targets[:, None]).candidates(len(x), near)
 
 
 def _distance_across(offset: Vector, lines: Vector) -> Vector:
     """Return the lengths (k,) of offsets (k, gdim) across unit vectors (k, gdim)."""
-    distance: Vector = np.linalg.norm(tangential_part(offset, lines), axis=1)
-    return distance
+    return np.linalg.norm(tangential_part(offset, lines), axis=1)
 
 
 def _chosen(mask: Mask, *columns: Array) -> list[Array]:

@@ -67,8 +67,7 @@ class Terms:
     @property
     def slave(self) -> Numbers:
         """The slave node of each row, (k,)."""
-        nodes: Numbers = self.nodes[self.offsets[:-1]]
-        return nodes
+        return self.nodes[self.offsets[:-1]]
 
     @property
     def on_slave(self) -> Mask:
@@ -89,8 +88,7 @@ class Terms:
 
     def means(self, values: Vector) -> Vector:
         """Return the weighted sums (k, q) of values (t, q) at the terms' nodes, over the scale."""
-        means: Vector = self._sums(self.weights[:, None] * values) / self.scale[:, None]
-        return means
+        return self._sums(self.weights[:, None] * values) / self.scale[:, None]
 
     def rows(self, normal: Vector, gap: Vector, contact: Numbers | int) -> ContactRows:
         """Return conditions of contacts (k,) along normals, with gaps of mean displacements [m]."""

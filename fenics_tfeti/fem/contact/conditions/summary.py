@@ -109,5 +109,4 @@ def angles_between(first: Vector, second: Vector) -> Vector:
     # by the chord, which is accurate for small angles, unlike the inverse cosine
     chord = np.linalg.norm(first - second, axis=1)
     chord[chord < COORDINATE_ROUNDING] = 0.0
-    angle: Vector = np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))
-    return angle
+    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))

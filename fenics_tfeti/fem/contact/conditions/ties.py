@@ -75,14 +75,12 @@ class TiedPairing:
     @property
     def name(self) -> str:
         """The name of the tie."""
-        name: str = self.summary["contact"]
-        return name
+        return self.summary["contact"]
 
     @property
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
-        coordinates: Vector = self.boundary.coordinates[self.nodes - self.boundary.nodes.first]
-        return coordinates
+        return self.boundary.coordinates[self.nodes - self.boundary.nodes.first]
 
     @property
     def is_mortar(self) -> bool:

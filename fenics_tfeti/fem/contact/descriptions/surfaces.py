@@ -34,8 +34,7 @@ class SurfacePair:
 
 def contact_name(contact: Any, number: int) -> str:
     """Return the name of a contact or tie, by default from its number and kind."""
-    name: str = contact.name or contact.default_name.format(number)
-    return name
+    return contact.name or contact.default_name.format(number)
 
 
 def checked_label(contact: Any) -> str:

@@ -47,8 +47,7 @@ class MasterTree:
         nodes, inverse = np.unique(slave.pieces, return_inverse=True)
         distance = self._places.query(slave.apart(nodes))[0]
         farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
-        reach: Vector = REACH * farthest + planes.diameter
-        return reach
+        return REACH * farthest + planes.diameter
 
     def candidates(
         self, slave_facets: Facets, chosen: Numbers, planes: Planes, reach: Vector

@@ -79,8 +79,7 @@ def _held_by_supports(surface: Surface, slave: SurfaceFacets, prescribed: Mask) 
     flags = np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim)
     nodes, corners = surface.boundary.nodes, slave.nodes[slave.facets.corners.ravel()]
     flags = nodes.values_at(nodes.sum_at_owners(corners, flags, np.logical_or), slave.nodes)
-    held: Mask = ~flags[:, :gdim] & flags[:, gdim:]
-    return held
+    return ~flags[:, :gdim] & flags[:, gdim:]
 
 
 def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -> Terms:

@@ -116,8 +116,7 @@ class Facets:
             return xi
         corners = np.array(_PLACES[t])[np.array(_PIECES[t])]
         v = corners.shape[1]
-        placed: Vector = np.matmul(shape_functions(xi, v), corners[piece % per_facet])
-        return placed
+        return np.matmul(shape_functions(xi, v), corners[piece % per_facet])
 
 
 def apart(x: Vector, contact: Numbers) -> Vector:

@@ -132,8 +132,7 @@ def _dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, V
 def _areas(slave: Facets) -> Vector:
     """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
     pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
-    areas: Vector = pieces.sum(axis=1)
-    return areas
+    return pieces.sum(axis=1)
 
 
 def _assemble(

@@ -92,8 +92,7 @@ class BodyFrame:
 
     def nodal(self, load: Vector) -> Vector:
         """Return forces (n,) at the corners with a resultant and a moment (modes,)."""
-        forces: Vector = load @ self.to_motion
-        return forces
+        return load @ self.to_motion
 
     def moved(self, motion: Vector) -> BodyFrame:
         """Return the body after a further rotation, up to a sum of motions."""
@@ -110,8 +109,7 @@ class BodyFrame:
     def turn(self, vectors: Vector, back: bool = False) -> Vector:
         """Return vectors (k, gdim) of the body as they are after its rotation, or before it."""
         padded = np.pad(vectors, ((0, 0), (0, 3 - vectors.shape[1])))
-        turned: Vector = self.turned.apply(padded, inverse=back)[:, : vectors.shape[1]]
-        return turned
+        return self.turned.apply(padded, inverse=back)[:, : vectors.shape[1]]
 
     def turned_places(self, x: Vector) -> Vector:
         """Return where points (k, gdim) of the undeformed body are, less its translation."""
@@ -295,8 +293,7 @@ def _displacements(motion: Vector, arms: Vector) -> Vector:
         if gdim == 3
         else motion[2] * np.column_stack([-arms[:, 1], arms[:, 0]])
     )
-    moved: Vector = motion[:gdim] + turned
-    return moved
+    return motion[:gdim] + turned
 
 
 def _modes(arms: Vector) -> Vector:

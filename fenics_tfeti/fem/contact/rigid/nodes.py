@@ -80,8 +80,7 @@ class RigidNodes:
         """Return the undeformed places (k, gdim) of this rank's nodes of a body."""
         if body not in self.bodies:
             return self.x[:0]
-        places: Vector = self.x[self.body == list(self.bodies).index(body)]
-        return places
+        return self.x[self.body == list(self.bodies).index(body)]
 
     def numbers_at(self, nodes: Numbers) -> Numbers:
         """Return the numbers of the bodies of nodes (k,), -1 of other nodes. Collective."""

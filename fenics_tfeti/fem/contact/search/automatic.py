@@ -140,8 +140,7 @@ def _is_apart(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> 
                 f"contact, because they are connected through facets: the first {names}. Where "
                 "they may touch, tag their surfaces and add a ContactPair"
             )
-    apart: Mask = ~glued
-    return apart
+    return ~glued
 
 
 def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> Mask:
@@ -222,8 +221,7 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
     lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
     lower &= lower_is_near > 0.0
     first = first_of_rank(comm, len(pairs))[0]
-    is_from_slave: Mask = is_lower == lower[inverse_of[first + inverse]]
-    return is_from_slave
+    return is_lower == lower[inverse_of[first + inverse]]
 
 
 def _surfaces(

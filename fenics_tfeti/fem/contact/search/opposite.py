@@ -88,8 +88,7 @@ class OppositeFacets:
         """Return the smallest gap of all ranks, and its bodies; infinite without. Collective."""
         bodies = np.sort(self.rows[:, :2], axis=1)
         pairs = zip(self.gap.tolist(), bodies.tolist(), strict=True)
-        nearest: tuple[float, list[int]] = min(comm.allgather(min(pairs, default=(np.inf, []))))
-        return nearest
+        return min(comm.allgather(min(pairs, default=(np.inf, []))))
 
 
 def _is_near(

@@ -87,8 +87,7 @@ class _SurfaceResult:
     def gather(self) -> Self:
         """Return the nodes of all ranks, by node number, on every rank. Collective."""
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        gathered: Self = replace(_gathered(self, self.comm, order), comm=MPI.COMM_SELF)
-        return gathered
+        return replace(_gathered(self, self.comm, order), comm=MPI.COMM_SELF)
 
 
 @dataclass(frozen=True)
@@ -128,8 +127,7 @@ class FrictionResult:
     def state(self) -> Numbers:
         """1 where a node sticks, 2 where it slips, 0 where friction has no force, (k,)."""
         slipping = ~self.sticking & (self.bound > 0.0) & self.force.any(axis=1)
-        states: Numbers = self.sticking + 2 * slipping.astype(np.int64)
-        return states
+        return self.sticking + 2 * slipping.astype(np.int64)
 
 
 @dataclass(frozen=True)

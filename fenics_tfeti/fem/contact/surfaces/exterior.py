@@ -62,8 +62,7 @@ class ExteriorFacets:
         directory = Directory(comm, np.unique(edges[:, 0]))
         _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
         joined = distinct_rows(_smooth_pairs(*columns))[0]
-        face: Numbers = _components(concatenate_ranks(comm, joined), total)[first + part]
-        return face
+        return _components(concatenate_ranks(comm, joined), total)[first + part]
 
 
 def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
@@ -79,5 +78,4 @@ def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
 def _components(pairs: Numbers, size: int) -> Numbers:
     """Return the connected component of each of `size` labels."""
     graph = sp.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
-    number: Numbers = connected_components(graph, directed=False)[1].astype(np.int64)
-    return number
+    return connected_components(graph, directed=False)[1].astype(np.int64)

@@ -40,8 +40,7 @@ def facet_normals(corners: Vector) -> Vector:
     edges = corners[:, 1:] - corners[:, :1]
     if corners.shape[2] == 2:
         return np.column_stack([edges[:, 0, 1], -edges[:, 0, 0]])
-    normals: Vector = 0.5 * np.cross(edges[:, 0], edges[:, 1])
-    return normals
+    return 0.5 * np.cross(edges[:, 0], edges[:, 1])
 
 
 class FacetedSurface:
@@ -153,8 +152,7 @@ class FacetedSurface:
 
         def near(row: Numbers, low: Vector, high: Vector) -> Mask:
             offset = np.maximum(np.maximum(low - x[row], x[row] - high), 0.0)
-            close: Mask = np.einsum("ij,ij->i", offset, offset) <= limit[row] ** 2
-            return close
+            return np.einsum("ij,ij->i", offset, offset) <= limit[row] ** 2
 
         row, facet = self._tree.candidates(len(x), near)
         point, feature = _closest_on(self._corners[facet], self._normals[facet], x[row])
@@ -176,8 +174,7 @@ class FacetedSurface:
                 t_high = (high + margin - x[row]) * inverse[row]
             enter = np.fmin(t_low, t_high).max(axis=1)
             leave = np.fmax(t_low, t_high).min(axis=1)
-            passes: Mask = enter <= leave
-            return passes
+            return enter <= leave
 
         row, facet = self._tree.candidates(len(x), crossed)
         corners, normal = self._corners[facet], self._normals[facet]
@@ -207,22 +204,19 @@ def _blocks(rows: Vector) -> list[Vector]:
 def unit(vectors: Vector) -> Vector:
     """Return unit vectors; a zero vector stays zero."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    units: Vector = vectors / np.where(length > 0.0, length, 1.0)
-    return units
+    return vectors / np.where(length > 0.0, length, 1.0)
 
 
 def edge_lengths(corners: Vector) -> Vector:
     """Return the lengths (m, v) of the edges from each corner (m, v, gdim) to the next."""
-    lengths: Vector = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
-    return lengths
+    return np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
 
 
 def _angles(corners: Vector) -> Vector:
     """Return the angles of triangles at their corners, (m, 3)."""
     forward = unit(np.roll(corners, -1, axis=1) - corners)
     backward = unit(np.roll(corners, 1, axis=1) - corners)
-    angles: Vector = np.arccos(np.clip(np.sum(forward * backward, axis=2), -1.0, 1.0))
-    return angles
+    return np.arccos(np.clip(np.sum(forward * backward, axis=2), -1.0, 1.0))
 
 
 def _barycentric(corners: Vector, x: Vector) -> Vector:
@@ -239,8 +233,7 @@ def _barycentric(corners: Vector, x: Vector) -> Vector:
                 [c * right[:, 0] - b * right[:, 1], a * right[:, 1] - b * right[:, 0]]
             )
             rest /= (a * c - b * b)[:, None]
-    weights: Vector = np.column_stack([1.0 - rest.sum(axis=1), rest])
-    return weights
+    return np.column_stack([1.0 - rest.sum(axis=1), rest])
 
 
 def _closest_on(corners: Vector, normal: Vector, x: Vector) -> tuple[Vector, Numbers]:

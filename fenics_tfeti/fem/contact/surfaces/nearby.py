@@ -101,8 +101,7 @@ def facets_in_boxes(comm: MPI.Intracomm, needed: list[Boxes], tree: BoxTree) -> 
     low, high = (np.concatenate(ends) for ends in zip(*needed, strict=True))
 
     def overlaps(query: Numbers, box_low: Vector, box_high: Vector) -> Mask:
-        overlapping: Mask = ((box_low <= high[query]) & (box_high >= low[query])).all(axis=1)
-        return overlapping
+        return ((box_low <= high[query]) & (box_high >= low[query])).all(axis=1)
 
     query, facet = tree.candidates(len(rank), overlaps)
     return [np.unique(facet[rank[query] == destination]) for destination in range(comm.size)]

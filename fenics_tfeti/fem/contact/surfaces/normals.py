@@ -51,10 +51,9 @@ def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
     length = np.linalg.norm(projected, axis=1)
     # where less is left, the prescribed components are no symmetry
     curved = length > 0.5
-    normals: Vector = np.where(
+    return np.where(
         curved[:, None], projected / np.where(curved, length, 1.0)[:, None], surface.normal
     )
-    return normals
 
 
 def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vector:
@@ -96,8 +95,7 @@ def _are_curved(surface: Surface, contact: Numbers, normal: Vector) -> Mask:
     np.add.at(sums, contact, np.column_stack([products, np.ones(len(normal))]))
     surface.comm.Allreduce(MPI.IN_PLACE, sums)
     squares = np.linalg.eigvalsh(sums[:, :9].reshape(-1, 3, 3) / np.maximum(sums[:, 9:, None], 1.0))
-    curved: Mask = squares[:, 1] >= _CURVED**2
-    return curved
+    return squares[:, 1] >= _CURVED**2
 
 
 @dataclass(frozen=True)
@@ -144,8 +142,7 @@ class Cylinder:
 
     def distance(self, points: Vector) -> Vector:
         """Return signed distances (k,) of points, positive outside [m]."""
-        distance: Vector = np.linalg.norm(self._radial(points), axis=1) - self.radius
-        return distance
+        return np.linalg.norm(self._radial(points), axis=1) - self.radius
 
     def _radial(self, points: Vector) -> Vector:
         """Return the vectors (k, 3) from the axis to points [m]."""

@@ -69,8 +69,7 @@ def _reflection(facet: ReferenceCell, nodes: int) -> list[int]:
 
 def tangential_part(vectors: Vector, normal: Vector) -> Vector:
     """Return vectors (..., gdim) less their components along unit normals (..., gdim)."""
-    tangential: Vector = vectors - np.sum(vectors * normal, axis=-1, keepdims=True) * normal
-    return tangential
+    return vectors - np.sum(vectors * normal, axis=-1, keepdims=True) * normal
 
 
 def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
@@ -96,8 +95,7 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
         normal = np.cross(*tangents)
     if weight is not None:
         normal *= (weight @ functions.T)[:, :, None]
-    weighted: Vector = np.einsum("q,qv,mqd->mvd", factors, functions, normal)
-    return weighted
+    return np.einsum("q,qv,mqd->mvd", factors, functions, normal)
 
 
 def _derivatives(xi: Vector, t: int) -> Vector:
@@ -110,8 +108,7 @@ def _derivatives(xi: Vector, t: int) -> Vector:
     coefficients = np.linalg.inv(np.prod(reference_nodes(t, dim)[:, None, :] ** powers, axis=2))
     lowered: Numbers = powers - np.eye(dim, dtype=int)[:, None] * (powers > 0)
     monomials = np.prod(xi[:, None, :] ** lowered[:, None], axis=3)
-    derivatives: Vector = (powers.T[:, None] * monomials) @ coefficients
-    return derivatives
+    return (powers.T[:, None] * monomials) @ coefficients
 
 
 def chord_heights(

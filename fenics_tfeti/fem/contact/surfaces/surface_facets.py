@@ -100,5 +100,4 @@ class SurfaceFacets:
         places = facets.with_centres(self.points - self.displacement)
         facet, weights = FacetedSurface(places, simplices).closest(x)
         corners = facets.with_centres(values)[simplices[facet]]
-        interpolated: Vector = np.einsum("kc,kcv->kv", weights, corners)
-        return interpolated
+        return np.einsum("kc,kcv->kv", weights, corners)

@@ -114,8 +114,7 @@ class Surface:
     @cached_property
     def local(self) -> Numbers:
         """Local numbers of the nodes (k,)."""
-        local: Numbers = self.nodes - self.boundary.nodes.first
-        return local
+        return self.nodes - self.boundary.nodes.first
 
     @cached_property
     def contact(self) -> Numbers:
@@ -154,8 +153,7 @@ class Surface:
     def counts(self, *of_contacts: Numbers) -> Array:
         """Return how often each contact is among those of each array (q,). Collective."""
         counts = [np.bincount(contact, minlength=len(self.names)) for contact in of_contacts]
-        total: Array = self.comm.allreduce(np.array(counts))
-        return total
+        return self.comm.allreduce(np.array(counts))
 
     def rows_of(self, nodes: Numbers) -> Numbers:
         """Return the positions (q,) of some of its nodes."""
@@ -190,8 +188,7 @@ class Surface:
         nodes, vertices = self.boundary.nodes, self.vertices
         flat = values.reshape(vertices.size, *values.shape[2:])
         sums = nodes.sum_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
-        found: Array = sums[self.local]
-        return found
+        return sums[self.local]
 
     def max_of_facets(self, values: Vector) -> Vector:
         """Return the largest value (k,) of the facets (f,) around each node, or 0. Collective."""
@@ -203,8 +200,7 @@ class Surface:
         x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
         at_corners = None if weight is None else weight[self.vertices]
         integrals = corner_normals(x, at_corners) * chosen[:, None, None]
-        area: Vector = np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
-        return area
+        return np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
 
     def check_weight(self, weighted: Vector, rows: Numbers | slice = slice(None)) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
