@@ -131,6 +131,16 @@ def test_slip_is_counted_anew():
     np.testing.assert_allclose(forces[1], forces[0], atol=1e-6)
 
 
+def test_moved_mesh_counts_slip_from_the_present_displacement():
+    scene = indented_block(n=2)
+    scene.solve([0.5])
+    scene.problem.u.x.array[:] = 0.0
+    scene.problem.space.mesh.geometry.x[:] *= 1.0 + 1e-9
+    scene.problem.solve()
+    assert scene.problem.u.x.array.any()
+    assert not scene.problem._step.origin.displacement.any()
+
+
 def test_checkpoint_of_a_solve_that_was_cut_short(tmp_path):
     file = tmp_path / "step"
     scene = indented_block(newton_max_it=3)

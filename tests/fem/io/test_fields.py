@@ -25,6 +25,7 @@ from scenes import (
 import dolfinx
 import ufl
 from dolfinx import fem
+from dolfinx.mesh import CellType, GhostMode, create_unit_cube, locate_entities, meshtags
 
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
@@ -73,15 +74,18 @@ def fields():
 @pytest.mark.ranks
 def test_piecewise_constant_has_the_value_of_each_tag():
     """In all cells of a rank, also in ghosts; a tag without a value is an error on all ranks."""
-    parts = [Box((0, 0, z), (4, 1, z + 1), (8, 2, 2)) for z in (0, 1)]
-    bodies = boxes(MPI.COMM_WORLD, parts)
-    E = piecewise_constant(bodies.mesh, bodies.cell_tags, {1: 3.0, 2: 5.0})
-    index_map = E.function_space.dofmap.index_map
+    shared_facet = GhostMode.shared_facet
+    mesh = create_unit_cube(MPI.COMM_WORLD, 4, 4, 4, CellType.hexahedron, ghost_mode=shared_facet)
+    cells = mesh.topology.index_map(3)
+    assert cells.num_ghosts or mesh.comm.size == 1
+    tags = np.ones(cells.size_local + cells.num_ghosts, dtype=np.int32)
+    tags[locate_entities(mesh, 3, lambda x: x[2] > 0.4)] = 2
+    cell_tags = meshtags(mesh, 3, np.arange(tags.size, dtype=np.int32), tags)
+    E = piecewise_constant(mesh, cell_tags, {1: 3.0, 2: 5.0})
     z = E.function_space.tabulate_dof_coordinates()[:, 2]
-    assert E.x.array.size == index_map.size_local + index_map.num_ghosts
-    np.testing.assert_array_equal(E.x.array, np.where(z < 1.0, 3.0, 5.0)[: E.x.array.size])
+    np.testing.assert_array_equal(E.x.array, np.where(z < 0.5, 3.0, 5.0))
     with pytest.raises(InputError, match=r"tags \[2\] have no value; .* for the tags \[1, 7\]"):
-        piecewise_constant(bodies.mesh, bodies.cell_tags, {7: 1.0, 1: 3.0})
+        piecewise_constant(mesh, cell_tags, {7: 1.0, 1: 3.0})
 
 
 @pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])

@@ -12,6 +12,7 @@ import dolfinx
 import ufl
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, tag_facets
 
 CELLS_PER_BLOCK = {"triangle": 2, "quadrilateral": 1, "tetrahedron": 6, "hexahedron": 1}
@@ -51,6 +52,20 @@ def test_cells_of_boxes(cell):
     # All cells are affine and of one size; in a wrong vertex order the determinant would vary.
     reference_volume = {"triangle": 1 / 2, "tetrahedron": 1 / 6}.get(cell, 1)
     assert mean_square == pytest.approx((2 / cells / reference_volume) ** 2)
+
+
+@pytest.mark.ranks
+def test_each_rank_makes_an_equal_share_of_cells_and_points(monkeypatch):
+    counts, make = [], _compat.distributed_mesh
+
+    def counted(comm, cells, points, *cell):
+        counts.extend(comm.allgather((len(cells), len(points))))
+        return make(comm, cells, points, *cell)
+
+    monkeypatch.setattr(_compat, "distributed_mesh", counted)
+    two_boxes("triangle")
+    assert np.sum(counts, axis=0).tolist() == [48, 40]
+    assert np.ptp(counts, axis=0).max() <= 1
 
 
 def test_names_are_those_of_the_boxes():
