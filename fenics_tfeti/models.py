@@ -18,6 +18,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_contacts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.surfaces.tagged import as_ufl_weight
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
@@ -223,7 +224,7 @@ def redistributed_density(
     Raises
     ------
     InputError
-        On all ranks, if all cells of a body touch contact surfaces.
+        On all ranks, if all cells of a body touch contact surfaces, or an argument is no scalar.
 
     References
     ----------
@@ -234,12 +235,18 @@ def redistributed_density(
     --------
     >>> rho_h = redistributed_density(V.mesh, 7850.0, contacts)  # doctest: +SKIP
     """
+    if shape := rho.ufl_shape if hasattr(rho, "ufl_shape") else np.shape(rho):
+        raise InputError(
+            f"rho has shape {shape}; a scalar is expected: a number, or a function such as "
+            "piecewise_constant makes from a number for each body"
+        )
+    weight = as_ufl_weight(mesh, measure_weight)
     bodies, cells = find_bodies(mesh, None), owned_cells(mesh)
     density = fem.Function(_compat.lagrange_space(mesh, 0, discontinuous=True))
     q, dx = ufl.TestFunction(density.function_space), ufl.Measure("dx", domain=mesh)
     dofs = _compat.cell_dofs(density.function_space)[:cells, 0]
     with _compat.quiet_compiler():
-        forms = [fem.form(factor * measure_weight * q * dx) for factor in (rho, 1.0)]
+        forms = [fem.form(factor * weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (fem.assemble_vector(form).array[dofs] for form in forms)
     touching = [contact for contact in as_contacts(contacts) if isinstance(contact, Contact)]
     first, second = _layers_at(mesh, touching)

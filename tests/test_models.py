@@ -173,3 +173,13 @@ def test_no_cells_for_the_mass_of_those_at_the_contact():
     bodies, contacts = two_boxes(MPI.COMM_WORLD, 1)
     with pytest.raises(InputError, match=r"body 0 in \[0, 1\] x \[0, 1\]: all cells touch contact"):
         redistributed_density(bodies.mesh, 1.0, contacts)
+
+
+def test_densities_and_weights_that_are_vectors():
+    bodies, contacts = two_boxes(MPI.COMM_SELF, 4)
+    vector = ufl.as_vector([1.0, 2.0])
+    for rho in (vector, [1.0, 2.0]):
+        with pytest.raises(InputError, match=r"rho has shape \(2,\); a scalar is expected"):
+            redistributed_density(bodies.mesh, rho, contacts)
+    with pytest.raises(InputError, match=r"measure_weight has shape \(2,\); a scalar"):
+        redistributed_density(bodies.mesh, 1.0, contacts, vector)

@@ -125,7 +125,8 @@ class BoltPreload(SurfacePair):
         which has to be plane.
     turns : bool
         Whether the axis turns with the cut in a `NonlinearContactProblem`. No displacements must be
-        prescribed on the slave's side then. By default the axis stays as it is.
+        prescribed on the slave's side then. By default, and in a `ContactProblem`, whose rotations
+        are small, the axis stays as it is.
     name : str
         For messages and the report.
 
