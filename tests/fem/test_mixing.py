@@ -43,3 +43,11 @@ def test_errors_of_steps_are_not_fitted(accuracy, is_fitted):
         mixed = mixing.mix(Iterate(x, increment, np.zeros(0)))
         x = x + increment
     assert (np.linalg.norm(mixed.increment) > 1.0) == is_fitted
+
+
+def test_repeated_steps_are_taken_as_they_are():
+    """Their difference is zero, and has no direction."""
+    mixing, step = AndersonMixing(MPI.COMM_SELF, 2, accuracy=1e-8), Iterate(*np.eye(3))
+    for _ in range(3):
+        mixed = mixing.mix(step)
+    np.testing.assert_array_equal([mixed.increment, mixed.multipliers], np.eye(3)[1:])

@@ -55,16 +55,24 @@ def test_weight_of_the_measure(degree):
     np.testing.assert_allclose(found[1].gap, found[0].gap)
 
 
+def half(x):
+    """A plane that ends at x = 0.6."""
+    normal = np.zeros((2, x.shape[1]))
+    normal[1] = 1.0
+    return np.where(x[0] < 0.6, GAP, np.inf), normal
+
+
 @both_degrees
 def test_where_there_is_no_obstacle(degree):
-    def half(x):
-        normal = np.zeros((2, x.shape[1]))
-        normal[1] = 1.0
-        return np.where(x[0] < 0.6, GAP, np.inf), normal
-
-    _, _, found = matched("quadrilateral", degree, half)
+    """In the deformed state of degree 2, a mean is infinite where any of its nodes has none."""
+    _, contact, found = matched("quadrilateral", degree, half)
     there = np.isfinite(found.gap)
     assert sorted(found.coordinates[there, 0]) == pytest.approx([0.0, 0.5])
+    space, _, whole = matched("quadrilateral", degree, tilted(2))
+    slave = whole.surface.gathered(fem.Function(space))
+    _, _, distance, _ = deformed_gaps(whole.surface, contact, slave, whole.terms)
+    there = np.isfinite(distance)
+    assert sorted(whole.coordinates[there, 0]) == pytest.approx([0.0, 0.5][: 3 - degree])
 
 
 @both_degrees

@@ -126,8 +126,8 @@ def test_barely_covered_nodes_share_out_their_functions():
 
 
 def test_barely_covered_nodes_without_better_neighbours_keep_their_functions():
-    """Of a small foot inside of one facet; those of the same coverage do not give to each other."""
-    coverage = np.array([0.1, 0.1, 0.05])
+    """Of a small foot inside of one facet; those of the same coverage, but for rounding, too."""
+    coverage = np.array([0.1, np.nextafter(0.1, 1.0), 0.05])
     pairs = np.array(list(permutations(range(3), 2)))
     shares = multiplier_shares(
         coverage, np.full(3, BARELY_COVERED), np.zeros(3, dtype=bool), pairs
