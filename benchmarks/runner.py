@@ -45,6 +45,7 @@ NAMES = [
     "peers",
     "peers_friction",
     "peers_large_sliding",
+    "peers_lvpp",
     "peers_nonlinear",
     "phases",
     "products",
