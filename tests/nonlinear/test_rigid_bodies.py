@@ -85,6 +85,14 @@ def test_force_and_prescribed_motion_are_inverse():
     assert np.abs(problem.u.x.array - first).max(initial=0.0) <= 1e-4 * 0.05
 
 
+def test_steps_are_cut_where_a_body_would_turn_too_far():
+    turned = lid(translation=(0.0, 0.0), rotation=0.45)
+    problem = rubber([{"obstacle": Plane((0.0, 5.0), (0.0, -1.0)), "body": turned}], n=2)
+    problem.solve()
+    lengths = [step.length for step in problem.report.newton]
+    assert lengths == pytest.approx([0.3 / 0.45, 1.0], rel=1e-6)
+
+
 @ranks
 @pytest.mark.parametrize("friction", [None, Coulomb(0.05)])
 def test_plate_tilts_about_two_axes(friction):
