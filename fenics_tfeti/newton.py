@@ -121,6 +121,7 @@ class LoadStep:
     prescribed: Prescribed
     origin: SlipOrigin
     gradients: CellGradients
+    step_limit: float  # on |grad du F^-1|
 
     def state_at(
         self,
@@ -226,7 +227,7 @@ class NewtonIteration:
         )
         gdim = nodes.components
         size = max([size, *(float(np.linalg.norm(motion[gdim:])) for motion in turned)])
-        limit = self._options.newton_step_limit
+        limit = self._load_step.step_limit
         length = 1.0 if size <= limit else limit / size
         mixed = self._mixed(state, step) if length == 1.0 else None
         new, length = self._shortened(mixed or step, multipliers, length, state.rows)

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+from mpi4py import MPI
+
 import numpy as np
 
 import ufl
@@ -24,6 +26,7 @@ from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import ForceScale
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
+from fenics_tfeti.feti.local.moduli import compressibility
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
@@ -131,6 +134,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             displacement=u,
         )
         self._gradients = CellGradients(self.space)
+        self._step_limit = min(self.options.newton_step_limit, self._step_of_volume())
 
     def solve(
         self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
@@ -176,6 +180,16 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._view()
         return self.u
 
+    def _step_of_volume(self) -> float:
+        """Return the largest |grad du F^-1| for which volumes are linear enough. Collective.
+
+        An increment of size h changes the volume by h^2 / 2 besides what is linear in it. The
+        pressure of that, kappa h^2 / 2, is at most the shear modulus: stresses above it, which
+        equilibrium does not have, dominate the next tangent, and Newton's method wanders.
+        """
+        ratio = max(compressibility(self._torn.torn.subdomains).values(), default=1.0)
+        return float(np.sqrt(2.0 / self.space.mesh.comm.allreduce(ratio, MPI.MAX)))
+
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(self.u)
 
@@ -187,7 +201,12 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._refresh()
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
-            self._torn, self.u, self._torn.undeformed.prescribed, self._step.origin, self._gradients
+            self._torn,
+            self.u,
+            self._torn.undeformed.prescribed,
+            self._step.origin,
+            self._gradients,
+            self._step_limit,
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
