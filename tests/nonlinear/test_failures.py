@@ -175,16 +175,17 @@ def test_obstacle_that_long_steps_cannot_reach():
 
 
 def test_steps_are_cut_where_cells_would_change_too_much():
-    """A uniform stretch of 1 - 0.54: |grad du F^-1| is at most 0.3 in each step."""
+    """A uniform stretch of 1 - 0.54, each part of which is in equilibrium, in steps of 0.3."""
     scene = indented_block(n=4)
     u, V = scene.problem.u, scene.problem.space
     squeezed = fem.Function(V)
     squeezed.interpolate(lambda x: np.array([-0.54 * x[0], 0.0 * x[1]]))
     edge = fem.locate_dofs_geometrical(V, lambda x: (abs(x[0]) > 0.99) | (abs(x[1] - 0.5) > 0.49))
-    problem = NonlinearContactProblem(residual(scene), u, bcs=fem.dirichletbc(squeezed, edge))
+    bc, options = fem.dirichletbc(squeezed, edge), {"newton_rtol": 1e-3}
+    problem = NonlinearContactProblem(residual(scene), u, bcs=bc, options=options)
     problem.solve()
     lengths = [step.length for step in problem.report.newton]
-    assert lengths[:3] == pytest.approx([0.3 / 0.54, 0.3 * 0.7 / 0.24, 1.0], rel=1e-4)
+    assert lengths == pytest.approx([0.3 / 0.54, 0.3 * 0.7 / 0.24, 1.0], rel=1e-3)
 
 
 def test_contact_that_opens_and_closes():

@@ -101,6 +101,11 @@ def test_forces_are_those_on_the_given_slave(roles):
     assert report.contacts[0].force == force
     at_nodes = contact.friction.force.sum(axis=0) - contact.normal_force @ contact.normal
     np.testing.assert_allclose(at_nodes, force, atol=scale)
+    friction = contact.friction
+    np.testing.assert_allclose(friction.traction * contact.area[:, None], friction.force)
+    dissipated = -np.sum(friction.force * friction.slip, axis=1)
+    np.testing.assert_allclose(dissipated, friction.work, atol=1e-9 * friction.work.max())
+    assert friction.work.max() > 0.0
     # the field is the force on the body that has the nodes
     drawn = contact_fields(problem.space, [contact]).force.x.array.reshape(-1, 2).sum(axis=0)
     np.testing.assert_allclose(drawn[1], -force[1] if roles == "auto" else force[1], rtol=1e-9)
