@@ -88,6 +88,7 @@ def test_ring_is_an_elastica(loads):
     assert upper.force[1] == pytest.approx(-lower.force[1], rel=1e-5)
 
 
+@pytest.mark.once  # another version's rounding changes two of the inner solves: 27 products there
 def test_counts_of_the_ring():
     scene = ring(0.1, 48, 3, degree=1, subdomain_size=100)
     scene.solve([1.0])
