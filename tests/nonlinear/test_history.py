@@ -117,7 +117,7 @@ def test_indentation():
     """The consistent tangent is the derivative of the residual; a dent is left."""
     forces, steps = [], []
     for with_tangent in [False, True]:
-        problem, _, step = press(lambda depth: Sphere((0.5, 1.5 - depth), 0.5), 4, with_tangent)
+        problem, _, step = press(lambda depth: Sphere((0.5, 1.5 - depth), 0.5), 6, with_tangent)
         for depth in [0.08, 0.07]:
             forces.append(step(depth))
             steps.append(len(problem.report.newton))
