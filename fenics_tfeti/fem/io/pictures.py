@@ -146,7 +146,7 @@ def _sampled(obstacle: Obstacle, number: int, scene: Scene, scale: float) -> dic
     grid = np.stack(np.meshgrid(x, y, [0.0] if scene.flat else z, indexing="ij"))
     found = obstacle(grid.reshape(3, -1))
     gap = np.asarray(found[0] if isinstance(found, tuple) else found, dtype=float)
-    # no obstacle is no gap that ends
+    # where there is no obstacle the gap is infinite, which VTK cannot interpolate
     gap = np.where(np.isfinite(gap), gap, np.max(gap, initial=0.0, where=np.isfinite(gap)))
     return {f"gaps {number}": gap.reshape(grid.shape[1:]), f"axes {number}": axes}
 

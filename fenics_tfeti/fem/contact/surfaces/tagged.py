@@ -108,7 +108,7 @@ class Surface:
 
     @property
     def labels(self) -> list[str]:
-        """What messages call the surface of each contact."""
+        """The names of the contacts' surfaces in messages."""
         return [f"{self.role} of {name}" if self.role else name for name in self.names]
 
     @cached_property
