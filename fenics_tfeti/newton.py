@@ -121,7 +121,7 @@ class LoadStep:
     prescribed: Prescribed
     origin: SlipOrigin
     gradients: CellGradients
-    step_limit: float  # on |grad du F^-1|
+    step_of_volume: float  # largest |grad du F^-1| for which volumes are linear enough
 
     def state_at(
         self,
@@ -225,10 +225,11 @@ class NewtonIteration:
         size = self._load_step.gradients.largest_increment(
             nodes.values(self._load_step.u), nodes.values(du)
         )
-        gdim = nodes.components
-        size = max([size, *(float(np.linalg.norm(motion[gdim:])) for motion in turned)])
-        limit = self._load_step.step_limit
-        length = 1.0 if size <= limit else limit / size
+        gdim, limit = nodes.components, self._options.newton_step_limit
+        angles = [float(np.linalg.norm(motion[gdim:])) for motion in turned]
+        # in units of what is allowed
+        excess = max([size / min(limit, self._load_step.step_of_volume), *np.divide(angles, limit)])
+        length = 1.0 if excess <= 1.0 else float(1.0 / excess)
         mixed = self._mixed(state, step) if length == 1.0 else None
         new, length = self._shortened(mixed or step, multipliers, length, state.rows)
         self.steps.append(

@@ -134,7 +134,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             displacement=u,
         )
         self._gradients = CellGradients(self.space)
-        self._step_limit = min(self.options.newton_step_limit, self._step_of_volume())
+        self._step_of_volume = self._largest_step_of_volume()
 
     def solve(
         self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
@@ -180,7 +180,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._view()
         return self.u
 
-    def _step_of_volume(self) -> float:
+    def _largest_step_of_volume(self) -> float:
         """Return the largest |grad du F^-1| for which volumes are linear enough. Collective.
 
         An increment of size h changes the volume by h^2 / 2 besides what is linear in it. The
@@ -206,7 +206,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             self._torn.undeformed.prescribed,
             self._step.origin,
             self._gradients,
-            self._step_limit,
+            self._step_of_volume,
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])

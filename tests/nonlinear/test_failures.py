@@ -174,8 +174,9 @@ def test_obstacle_that_long_steps_cannot_reach():
     assert lengths[-1] == 1.0
 
 
-def test_steps_are_cut_where_cells_would_change_too_much():
-    """A uniform stretch of 1 - 0.54, each part of which is in equilibrium, in steps of 0.3."""
+@pytest.mark.parametrize("limit", [0.3, 0.25])
+def test_steps_are_cut_where_cells_would_change_too_much(limit):
+    """A uniform stretch of 1 - 0.54, each part of which is in equilibrium, in steps of a limit."""
     scene = indented_block(n=4)
     u, V = scene.problem.u, scene.problem.space
     squeezed = fem.Function(V)
@@ -183,9 +184,11 @@ def test_steps_are_cut_where_cells_would_change_too_much():
     edge = fem.locate_dofs_geometrical(V, lambda x: (abs(x[0]) > 0.99) | (abs(x[1] - 0.5) > 0.49))
     bc, options = fem.dirichletbc(squeezed, edge), {"newton_rtol": 1e-3}
     problem = NonlinearContactProblem(residual(scene), u, bcs=bc, options=options)
+    problem.options = replace(problem.options, newton_step_limit=limit)
     problem.solve()
     lengths = [step.length for step in problem.report.newton]
-    assert lengths == pytest.approx([0.3 / 0.54, 0.3 * 0.7 / 0.24, 1.0], rel=1e-3)
+    second = limit * (1 - limit) / (0.54 - limit)
+    assert lengths == pytest.approx([limit / 0.54, second, 1.0], rel=1e-3)
 
 
 def test_contact_that_opens_and_closes():
