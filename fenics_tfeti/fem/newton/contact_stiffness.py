@@ -19,13 +19,14 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 import ufl
-from dolfinx.fem import Function
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx.mesh import meshtags
 
-from fenics_tfeti.fem._compat import CompilerOptions
+from fenics_tfeti.fem._compat import CompilerOptions, cell_dofs, element_facts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.topology import cell_type
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -37,7 +38,7 @@ class ContactStiffness:
     """The pressures on surfaces with normals that turn, and their stiffness on subdomains."""
 
     def __init__(self, u: Function, contacts: Sequence[Contact], compiler: CompilerOptions) -> None:
-        self._nodes = NodeMap(u.function_space)
+        self._nodes, self._at_vertices = NodeMap(u.function_space), _at_vertices(u.function_space)
         self._forms: PreparedForms | None = None
         turning = [contact for contact in contacts if has_turning_normals(contact)]
         if turning:
@@ -49,13 +50,28 @@ class ContactStiffness:
         comm = self._nodes.comm
         if self._forms is None or not comm.allreduce(float(np.abs(force).sum())):
             return [None] * len(torn.subdomains)
-        area = torn.load(self._forms)
+        self._fill_pressure(force, torn.load(self._forms))
+        return [K if np.abs(K.data).max(initial=0.0) else None for K in torn.matrices(self._forms)]
+
+    def _fill_pressure(self, force: Vector, area: Vector) -> None:
+        """Find the pressure of degree 1 from forces and areas (owned, gdim) of nodes. Collective.
+
+        Both are summed over shape functions of degree 1: those of degree 2 at the vertices of
+        triangles have an area of zero.
+        """
+        nodes, weights = self._nodes, self._at_vertices
+        sums = weights[: nodes.owned].T @ np.hstack([force, area])
+        loaded = np.flatnonzero(sums.any(axis=1))
+        sums = nodes.sum_at_owners(nodes.to_global(loaded), sums[loaded])
+        force, area = np.hsplit(sums, 2)
         square = np.sum(area**2, axis=1)
         pressing = np.maximum(np.sum(force * area, axis=1), 0.0)
-        pressure = np.divide(pressing, square, out=np.zeros_like(square), where=square > 0.0)
-        self._nodes.values(self._pressure)[: self._nodes.owned, 0] = pressure
+        pressure = self._pressure.x.array.reshape(nodes.size, -1)[:, 0]
+        pressure[: nodes.owned] = np.divide(
+            pressing, square, out=np.zeros_like(square), where=square > 0.0
+        )
         self._pressure.x.scatter_forward()
-        return [K if np.abs(K.data).max(initial=0.0) else None for K in torn.matrices(self._forms)]
+        pressure[:] = weights @ pressure
 
 
 def has_turning_normals(contact: Contact) -> bool:
@@ -84,8 +100,9 @@ def _forms(
     """Return the pressure, the first component of a function, and its stiffness and nodal areas."""
     V = u.function_space
     mesh, pressure = V.mesh, Function(V, name="contact_pressure")
+    degree = element_facts(V)[1]
     tags = meshtags(mesh, mesh.topology.dim - 1, facets, np.ones(facets.size, dtype=np.int32))
-    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 2})(1)
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 2 * degree})(1)
     inverse = ufl.inv(ufl.Identity(len(u)) + ufl.grad(u))
     area = inverse.T * ufl.FacetNormal(mesh) / ufl.det(inverse)
     size = ufl.sqrt(ufl.inner(area, area))
@@ -98,6 +115,17 @@ def _forms(
     energy = sliding_and_turning(v, du) + sliding_and_turning(du, v)
     stiffness = -pressure[0] * energy * size * ds
     return pressure, prepare_forms(V, stiffness, ufl.inner(area, v) * ds, compiler)
+
+
+def _at_vertices(space: FunctionSpace) -> sp.csr_matrix:
+    """Return the matrix (nodes, nodes) that takes values at vertices to all nodes, in degree 1."""
+    kind, dofs = cell_type(space.mesh), cell_dofs(space)
+    around = [(k,) for k in range(kind.vertices)] + list(kind.midpoints)
+    pairs = [(k, j) for k in range(dofs.shape[1]) for j in around[k]]
+    rows, columns = (dofs[:, list(side)].ravel() for side in zip(*pairs, strict=True))
+    size = NodeMap(space).size
+    cells = sp.csr_matrix((np.ones(rows.size), (rows, columns)), shape=(size, size))
+    return sp.diags(1.0 / cells.sum(axis=1).A1) @ cells
 
 
 def _relative_to_far_nodes(K: sp.csr_matrix, x: Vector) -> sp.csr_matrix:
