@@ -65,7 +65,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         self.results = self.rigid_bodies = Results()
         torn = ProblemData(
             self.bcs,
-            self.contacts,
+            list(self.contacts),
             cell_tags,
             rigid=as_rigid(rigid),
             size=options.subdomain_size,

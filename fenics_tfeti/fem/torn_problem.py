@@ -96,7 +96,7 @@ class TornProblem:
         release: Callable[[], None] | None = None,
     ) -> None:
         """Take the present data; find, and assemble after `release`, what changed. Collective."""
-        self.data = replace(self.data, bcs=bcs, contacts=contacts)
+        self.data = replace(self.data, bcs=bcs, contacts=list(contacts))
         if self.torn.has_moved():
             check_mesh(self.space.mesh, self.bodies, self.data.contacts)
             self._search.forget()

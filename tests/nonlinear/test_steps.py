@@ -141,6 +141,17 @@ def test_moved_mesh_counts_slip_from_the_present_displacement():
     assert not scene.problem._step.origin.displacement.any()
 
 
+def test_list_of_contacts_that_grows_and_shrinks():
+    scene = indented_block(n=2)
+    contacts = scene.problem.contacts
+    contacts.append(replace(contacts[0], obstacle=Plane((0.0, 0.9), (0.0, -1.0))))
+    scene.problem.solve()
+    assert len(scene.problem.results) == 2
+    scene.problem.contacts.pop(0)
+    scene.problem.solve()
+    assert len(scene.problem.results) == 1
+
+
 def test_checkpoint_of_a_solve_that_was_cut_short(tmp_path):
     file = tmp_path / "step"
     scene = indented_block(newton_max_it=3)
