@@ -189,6 +189,8 @@ def test_steps_are_cut_where_cells_would_change_too_much(limit):
     lengths = [step.length for step in problem.report.newton]
     second = limit * (1 - limit) / (0.54 - limit)
     assert lengths == pytest.approx([limit / 0.54, second, 1.0], rel=1e-3)
+    # Anderson mixing takes whole steps alone
+    assert not any(step.mixed for step in problem.report.newton)
 
 
 def test_contact_that_opens_and_closes():
@@ -201,6 +203,8 @@ def test_contact_that_opens_and_closes():
     scene = indented_block(n=4, obstacle=obstacle, newton_max_it=6)
     with pytest.raises(NotConverged, match=r"contact at \d+ nodes opens and closes in turn"):
         scene.problem.solve()
+    # steps with other pressing nodes are not combined
+    assert not any(step.mixed for step in scene.problem.report.newton)
 
 
 def test_body_that_nothing_holds():
