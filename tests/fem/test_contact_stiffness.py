@@ -6,13 +6,14 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from scenes import CELLS, MASTER, SLAVE, Scene, at, dimension
 
 import ufl
 from dolfinx import fem
 from dolfinx.fem.petsc import assemble_vector
 
-from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness
+from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, _relative_to_far_nodes
 
 PRESSURE = 0.7
 
@@ -40,3 +41,16 @@ def test_energy(cell, degree):
     for s, K, sign in zip(torn.torn.subdomains, matrices, (-1.0, 1.0), strict=True):
         x = values[torn.nodes.to_local(s.nodes)].ravel()
         assert x @ K @ x == pytest.approx(sign * PRESSURE)
+
+
+def test_no_force_of_a_translation():
+    """The energy is that of sliding relative to the mean of the nodes far from the contact."""
+    rng = np.random.default_rng(0)
+    x = np.column_stack([np.arange(10.0), np.zeros(10)])  # the first two in contact
+    K, u = np.zeros((20, 20)), rng.standard_normal((10, 2))
+    K[:4, :4] = rng.standard_normal((4, 4))
+    K += K.T
+    relative = (u - u[8:].mean(axis=0)).ravel()
+    of_subdomain = _relative_to_far_nodes(sp.csr_matrix(K), x)
+    assert u.ravel() @ of_subdomain @ u.ravel() == pytest.approx(relative @ K @ relative)
+    np.testing.assert_allclose(of_subdomain.toarray(), of_subdomain.toarray().T, atol=1e-14)

@@ -193,6 +193,24 @@ def test_step_without_convergence_can_be_repeated():
     assert_same(problem, uh, other, other.solve())
 
 
+def test_step_that_fails_leaves_the_last_one():
+    """The load and the displacement of the last step that was accepted."""
+    scene, loads = two_blocks_on_a_floor(n=4), []
+    problem = new_problem(scene)
+
+    def set_load(t):
+        loads.append(t)
+        scene.traction.value = -2e7 * t
+        of_solver = replace(problem.options.solver, max_products=3 if t == 1.0 else 1000)
+        problem.options = replace(problem.options, solver=of_solver)
+
+    with pytest.raises(NotConverged, match="load step from 0.9985 to 1 "):
+        for _ in problem.steps(set_load, 0.0, 1.0, first=0.9985):
+            accepted = problem.u.x.array.copy()
+    assert loads == [0.9985, 1.0, 0.9985]
+    np.testing.assert_array_equal(problem.u.x.array, accepted)
+
+
 def test_contacts_joined():
     """The same rows, now of one contact."""
     parts = [((2 * k, 0), (2 * k + 1, 1), (3, 3)) for k in (0, 1)]

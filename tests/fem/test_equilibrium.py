@@ -1,0 +1,87 @@
+"""The residual and its scale, and multipliers as a vector, at a displacement that is given."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import finite_strains
+import numpy as np
+import pytest
+from finite_strains import BASE, ENDS, SLIDER, TOP
+from scenes import Scene, at
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import Plane, RigidBody
+from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
+from fenics_tfeti.models import neo_hookean
+
+# the rows of the contacts
+PAIR, OBSTACLE, BODY = np.split(np.arange(9), 3)
+
+
+@pytest.fixture(scope="module")
+def blocks():
+    """Two undeformed blocks, the upper one a pair's slave, and its rows.
+
+    An obstacle is 0.1 above it, and a rigid body touches the base of the other.
+    """
+    marks = [(BASE, at(1, 0.0)), (TOP, at(1, 1.0)), (SLIDER, at(1, 1.2)), (ENDS, at(1, 2.2))]
+    parts = [((0, 0), (1, 1), (2, 1)), ((0, 1.2), (1, 2.2), (2, 1))]
+    bodies = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks)
+    u = fem.Function(bodies.V)
+    bodies.fix(BASE)
+    bodies.add_pair(SLIDER, TOP)
+    bodies.add_obstacle(ENDS, Plane((0.0, 2.3), (0.0, -1.0)))
+    bodies.add_obstacle(BASE, Plane((0.0, 0.0), (0.0, 1.0)), body=RigidBody((0.0, 0.0)))
+    problem = finite_strains.Scene.of(bodies, u, neo_hookean(1.0, 0.3)(u) * ufl.dx, print).problem
+    conditions, origin = problem._torn.undeformed, problem._step.origin
+    return problem, DeformedRows.of(conditions, u, conditions.bodies, origin, None)
+
+
+@pytest.mark.parametrize(("is_sticking", "turning"), [(False, [PAIR, BODY]), (True, [PAIR])])
+def test_forces_that_turn_with_the_surfaces(blocks, is_sticking, turning):
+    """Those of the pair and, where friction does not hold the slave, of the rigid body."""
+    rows = blocks[1]
+    given = Multipliers(np.arange(1.0, 10.0), np.ones((9, 2)), np.zeros(0), np.full(9, is_sticking))
+    expected = Multipliers.none(rows)
+    for rows_of in turning:
+        expected.normal[rows_of] = given.normal[rows_of]
+    np.testing.assert_allclose(rows.turning_force(given), rows.force(expected)[0], atol=1e-14)
+
+
+def test_mixed_pressures_are_not_negative():
+    normal, tangential = np.array([2.0, -1.0]), np.array([[3.0, -4.0], [-5.0, 6.0]])
+    given = Multipliers(normal, tangential, np.array([-7.0]), np.array([True, False]))
+    other = given.from_flat(given.flat())
+    np.testing.assert_array_equal(other.normal, [2.0, 0.0])
+    for name in ("tangential", "tied", "sticking"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(given, name))
+
+
+@pytest.mark.parametrize(
+    ("pressure", "reaction", "scale", "force"),
+    [
+        (5.0, 3.0, ForceScale(), np.sqrt(3.0) * 5.0),
+        (5.0, 30.0, ForceScale(), np.sqrt(3.0) * 30.0),
+        (5.0, 3.0, ForceScale(20.0, 50.0), 20.0),
+        (5.0, 3.0, ForceScale(20.0, 250.0), 50.0),
+        (0.0, 0.0, ForceScale(), 0.25),
+    ],
+)
+def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scale, force):
+    """The obstacle's, the supports', the least one, that of the displacement, the residual."""
+    problem, rows = blocks
+    conditions, nodes, given = problem._torn.undeformed, rows.surface_nodes, Multipliers.none(rows)
+    given.normal[OBSTACLE] = pressure
+    forces = -rows.force(given)[0]
+    forces[nodes[BODY], 0] = reaction
+    forces[nodes[0]] += 0.15, -0.2
+    u = np.full(forces.size, -0.2)
+    result = Equilibrium.of(forces, rows, given, conditions.prescribed, u, scale)
+    assert result.force == pytest.approx(force)
+    assert result.residual == pytest.approx(0.25 / force)
+    assert result.separation == pytest.approx(0.5 if pressure else 0.0)
+    assert result.place == format_point(problem._torn.nodes.coordinates[nodes[0]])
