@@ -272,6 +272,8 @@ DISC = Discs(np.array([[0, 1]]), np.zeros((1, 2)), np.ones(1))
 
 @pytest.mark.parametrize(("diagonal", "lower", "discs"), [
     ([1.0, 0.0], [0.0, 0.0], {}),
+    # where the gradient on the face is zero
+    ([1.0, 0.0], [1.0, 0.0], {}),
     ([1.0, 1.0, 0.0], 3 * [-np.inf], {"discs": DISC}),
 ])  # fmt: skip
 def test_cost_without_lower_limit_is_an_error(diagonal, lower, discs):

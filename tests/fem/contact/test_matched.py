@@ -5,14 +5,24 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from periodic_cells import grains, homogeneous_cell, ring
+from scenes import Scene, at
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, InputError, LinearRows, NonlinearContactProblem, Tresca
+from fenics_tfeti import (
+    Coulomb,
+    InputError,
+    LinearRows,
+    NonlinearContactProblem,
+    PeriodicPair,
+    Tresca,
+)
 from fenics_tfeti.models import neo_hookean
 
 STRAIN = np.array([[-1e-3, 4e-4, 2e-4], [4e-4, 6e-4, -3e-4], [2e-4, -3e-4, -8e-4]])
@@ -175,6 +185,15 @@ def test_mistakes_in_a_pair(change, message):
 def test_mistakes_on_a_mesh(change, message):
     with pytest.raises(InputError, match=message):
         SQUARE.problem(contacts=replace(PAIR, name="cell", **change))
+
+
+def test_facets_of_a_master_that_share_no_nodes():
+    """The right side of one body, and the left sides of two that lie on each other."""
+    parts = [((2, 0), (3, 1), (1, 2)), ((0, 0), (1, 0.5), (1, 1)), ((0, 0.5), (1, 1), (1, 1))]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, [(1, at(0, 0)), (2, at(0, 3))])
+    pair = PeriodicPair(scene.facet_tags, 2, 1, translation=(3.0, 0.0))
+    with pytest.raises(InputError, match=r"1 nodes of the slave have several .* \(3, 0.5\)"):
+        scene.problem(contacts=pair)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from friction_problems import in_a_corner, in_a_groove, pulled_strip, pushed_blo
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.dual import proximal_newton as newton_module
 from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
-from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
+from fenics_tfeti.feti.dual.proximal_newton import _root, proximal_newton
 from fenics_tfeti.qp import Products
 
 pytestmark = pytest.mark.once
@@ -93,3 +93,14 @@ def test_products_on_faces_are_no_part_of_the_turn(monkeypatch):
     by_newton(TornSolver(pulled_strip(), Options()), 1e-8, max_products=2_000)
     assert len(limits) > 1
     np.testing.assert_array_equal(np.diff(limits), 7)
+
+
+@pytest.mark.parametrize(("slope", "root"), [
+    (lambda t: t - 0.3, 0.3),
+    (lambda t: t - 2.0, 1.0),
+    (lambda t: t + 1.0, 0.0),
+    (lambda t: np.sign(t - 0.3), 0.3),
+])  # fmt: skip
+def test_part_of_a_way_with_the_least_cost(slope, root):
+    """Inside it, behind its end, before it begins, and at a kink."""
+    assert _root(slope) == pytest.approx(root, abs=0.005)

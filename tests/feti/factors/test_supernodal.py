@@ -7,9 +7,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
+from fenics_tfeti.feti.factors import supernodal
 from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.factors.compiled import supernodal_library
-from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor, _Orderings
 
 pytestmark = pytest.mark.skipif(
     "cholmod" not in available_packages() or supernodal_library()[0] is None,
@@ -124,3 +125,11 @@ def test_ordering_of_another_matrix_does_not_serve():
     SupernodalFactor(library, grid(504, width=3), 3, name=name)
     A = grid(9, 8, 7, width=3)
     assert SupernodalFactor(library, A, 3, name=name).entries == factor(A, 3).entries
+
+
+def test_orderings_are_forgotten_when_they_are_too_many(monkeypatch):
+    monkeypatch.setattr(supernodal, "_MOST", 3)
+    orderings = _Orderings()
+    for name in "aabcd":
+        orderings.keep(name, np.arange(2), 1.0)
+    assert [orderings.find(name, 2)[1] for name in "abcd"] == [0.0, 0.0, 1.0, 1.0]
