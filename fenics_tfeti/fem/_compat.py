@@ -399,7 +399,8 @@ def distributed_mesh(
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.10 and 0.11 ``create_mesh(comm, cells, e, x)``,
       all with elements from ``basix.ufl``;
     - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where later
-      versions call none: a quarter to a third of the time.
+      versions call none: a quarter to a third of the time. An array of cells it converts only
+      after an exception, whose message prints all arguments.
 
     Nodes of cells are in the order of dolfinx; points are numbered through the ranks.
     """
@@ -408,8 +409,9 @@ def distributed_mesh(
         shape = ufl.Cell(cell, geometric_dimension=gdim)
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
         one_process = {"partitioner": _to_one_process} if comm.size == 1 else {}
+        graph = cpp.graph.AdjacencyList_int64(np.asarray(cells, dtype=np.int64))
         with quiet_compiler():
-            return mesh.create_mesh(comm, cells, points, domain=domain, **one_process)
+            return mesh.create_mesh(comm, graph, points, domain=domain, **one_process)
     import basix.ufl
 
     element = basix.ufl.element("Lagrange", cell, degree, shape=(gdim,))
