@@ -6,10 +6,13 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from mpi4py import MPI
 
 import pytest
+
+from ffcx.codegeneration import jit
 
 RANKS = MPI.COMM_WORLD.size
 
@@ -27,6 +30,22 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Deselect the tests for other numbers of ranks."""
     config.hook.pytest_deselected(items=[item for item in items if not fits(item)])
     items[:] = [item for item in items if fits(item)]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _modules_of_forms_are_loaded_once() -> Iterator[None]:
+    """Keep the modules that FFCx has loaded, which lists its folder, of thousands, for each."""
+    load, loaded = jit.get_cached_module, {}
+
+    def get_cached_module(name: str, *arguments: Any) -> Any:
+        objects, module = loaded.get(name) or load(name, *arguments)
+        if module is not None:
+            loaded[name] = objects, module
+        return objects, module
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jit, "get_cached_module", get_cached_module)
+        yield
 
 
 @pytest.fixture
