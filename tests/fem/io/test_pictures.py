@@ -45,31 +45,28 @@ def fields(cell):
     return u, p, s
 
 
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-def test_picture_has_the_size_asked_for(cell, tmp_path):
-    """Of a plane body that does not move, and of one in space that does."""
+@pytest.mark.parametrize(
+    ("cell", "names"),
+    [("triangle", ["floor", "far", "none"]), ("hexahedron", ["floor", "far"])],
+)
+def test_picture_has_its_size_and_obstacles_where_they_are(cell, names, tmp_path):
+    """Of a plane body that does not move and of one in space that does, on a floor or above it."""
     u, _, stress = fields(cell)
     u.x.array[:] *= cell == "hexahedron"
-    path = tmp_path / "new folder" / "beams.png"
-    draw_deformed(path, u, stress, unit="MPa", title="Two boxes", size=(480, 300))
-    assert size_of(path) == (480, 300)
-
-
-@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
-def test_obstacle_is_drawn_where_it_is(cell, tmp_path):
-    """A floor makes the picture another one, an obstacle that is nowhere near does not."""
-    u, _, stress = fields(cell)
     normal = np.eye(dimension(cell))[-1]
-    pictures_of = {
-        "none": [],
+    obstacles = {
         "floor": [Plane((0, 0, 0), normal)],
         "far": [Plane(-5 * normal, normal), lambda x: np.full(x.shape[1], np.inf)],
+        "none": [],
     }
-    for name, obstacles in pictures_of.items():
-        draw_deformed(tmp_path / f"{name}.png", u, stress, obstacles=obstacles, size=(480, 300))
-    drawn = {name: (tmp_path / f"{name}.png").read_bytes() for name in pictures_of}
-    assert drawn["far"] == drawn["none"]
-    assert drawn["floor"] != drawn["none"]
+    drawn = {}
+    for name in names:
+        path = tmp_path / "new folder" / f"{name}.png"
+        options = {"title": "Two boxes", "size": (480, 300), "obstacles": obstacles[name]}
+        draw_deformed(path, u, stress, unit="MPa", **options)
+        assert size_of(path) == (480, 300)
+        drawn[name] = path.read_bytes()
+    assert drawn["floor"] != drawn["far"] == drawn.get("none", drawn["far"])
 
 
 def test_colour_bar_has_the_range_of_the_whole_field(tmp_path, monkeypatch):
