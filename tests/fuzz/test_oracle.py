@@ -22,10 +22,10 @@ pytestmark = pytest.mark.once
 RTOL = 1e-6
 
 
-def solvable(count, suits=lambda problem: True):
-    """Return the first problems with a solution, and the oracle's answers."""
+def solvable(count, suits, first=0):
+    """Return the problems from a seed on that have a solution, and the oracle's answers."""
     found = []
-    for seed in range(10_000):
+    for seed in range(first, 10_000):
         problem = draw_torn(seed).glued
         if suits(problem) and (answer := oracle.solve(problem)).verdict == "solution":
             found.append((problem, answer))
@@ -113,7 +113,8 @@ def test_oracle_agrees_with_daqp_on_tied_bodies():
         independent = np.linalg.matrix_rank(rows[:, free], tol=1e-6) == len(rows)
         return independent and in_plain_units(problem)
 
-    for problem, answer in solvable(3, suits):
+    # few are: 279, 366 and 381 are the first
+    for problem, answer in solvable(3, suits, first=279):
         difference = by_daqp(problem) - answer.displacement
         assert np.abs(difference).max() <= 1e-7 * np.abs(answer.displacement).max()
         assert np.abs(answer.tied).max() > 0.0
