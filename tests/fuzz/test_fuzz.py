@@ -55,7 +55,7 @@ NEEDS = {
 }
 
 
-SLOW = {("both", 49), ("both", 525), ("both", 694), ("both", 1059)}
+SLOW = {("both", 49), ("both", 525), ("both", 694), ("both", 1059), ("feti", 50040)}
 
 
 @pytest.mark.once
