@@ -189,6 +189,6 @@ def test_replaced_obstacle_near_the_deformed_surface(degree):
 
 def pressed_by(obstacle, degree):
     """Return a solved block under an obstacle."""
-    scene = indented_block(n=4, degree=degree, obstacle=obstacle, newton_rtol=1e-8)
+    scene = indented_block(n=4 // degree, degree=degree, obstacle=obstacle, newton_rtol=1e-8)
     scene.solve([1.0])
     return scene
