@@ -28,7 +28,7 @@ every_gdim = pytest.mark.parametrize("gdim", [2, 3])
 
 
 def block(gdim: int, ratio: float) -> TornSystem:
-    return reinforced_block(gdim, ratio, columns=4 if gdim == 2 else 3, layers=4 - gdim)
+    return reinforced_block(gdim, ratio, columns=4 if gdim == 2 else 2, layers=4 - gdim)
 
 
 @lru_cache(maxsize=None)
