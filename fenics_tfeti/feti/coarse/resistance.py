@@ -52,9 +52,9 @@ def weak_motions(
     first, and among these the translations. A motion of one body resisted by `unresisted` or less
     counts as free. Collective.
     """
-    E = _block_diagonal(supports)
-    if rows.shape[1] <= _LARGE and _resist_all(comm, rows, E, max(below, unresisted)):
+    if rows.shape[1] <= _LARGE and _resist_all(comm, rows, supports, max(below, unresisted)):
         return np.zeros(0), sp.csc_matrix((rows.shape[1], 0))
+    E = _block_diagonal(supports)
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
     number = free.sum(axis=1)
@@ -67,11 +67,14 @@ def weak_motions(
     return np.concatenate([values[free], resistance]), motions
 
 
-def _resist_all(comm: MPI.Intracomm, B: sp.csr_matrix, E: sp.csr_matrix, limit: float) -> bool:
+def _resist_all(comm: MPI.Intracomm, B: sp.csr_matrix, supports: Vector, limit: float) -> bool:
     """Tell whether the Gram matrix shows that no motion is resisted by a limit or less."""
-    gram = (B.T @ B).toarray()
+    gram = (B.T @ B).toarray(order="C")
     comm.Allreduce(MPI.IN_PLACE, gram)
-    values = np.linalg.eigvalsh(gram + (E.T @ E).toarray())
+    bodies, modes, _ = supports.shape
+    body, blocks = np.arange(bodies), gram.reshape(bodies, modes, bodies, modes)
+    blocks[body, :, body] += np.swapaxes(supports, 1, 2) @ supports
+    values = np.linalg.eigvalsh(gram)
     return bool(values.size and values[0] > limit**2 + rounding(values[-1], MANY))
 
 

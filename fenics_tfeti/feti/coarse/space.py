@@ -213,6 +213,8 @@ class CoarseSpace:
             below,
             unresisted,
         )
+        if not resistance.size:
+            return z.tocsr(), z.tocsr()
         free = resistance <= unresisted
         return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
 
