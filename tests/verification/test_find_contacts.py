@@ -16,7 +16,14 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Plane, RigidObstacle, find_contacts
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    find_contacts,
+)
 from fenics_tfeti.io import boxes, displacement_space, read_msh
 from fenics_tfeti.models import isotropic, symmetry_plane
 
@@ -119,6 +126,29 @@ def test_roller_bearing(tmp_path):
     assert len(pairs) == 32
     assert np.abs(loads[1] - loads[0]).max() < 1e-4 * loads[0].max()
     assert products[1] < 2.0 * products[0]
+
+
+def test_head_joints_that_are_open_have_no_friction():
+    """Pairs of bricks that do not touch change neither the solution nor the iterations."""
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    import bricks
+
+    parts, course_of = bricks.wall(60, 2)
+    made, friction = boxes(COMM, parts, "quadrilateral"), Coulomb(0.3)
+    _, a, L = forms(made.mesh, (0, -bricks.WEIGHT), 5e9)
+    tags, plane = bricks.bed_joints(made, course_of), Plane((0, 0), (0, 1))
+    ground = RigidObstacle(tags, bricks.GROUND, plane, friction=friction)
+    pairs, energies, products = [], [], []
+    for distance in (1e-3, None):
+        arguments = {"friction": friction, "distance": distance}
+        pairs.append(find_contacts(made.mesh, made.cell_tags, **arguments))
+        problem = ContactProblem(a, L, contacts=[*pairs[-1], ground])
+        problem.solve()
+        energies.append(problem.report.energy)
+        products.append(problem.report.products["total"])
+    assert len(pairs[1]) > len(pairs[0])
+    assert energies[1] == pytest.approx(energies[0], rel=1e-6)
+    assert products[1] <= 1.2 * products[0]
 
 
 @pytest.mark.heavy

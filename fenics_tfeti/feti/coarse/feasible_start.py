@@ -47,10 +47,11 @@ def feasible_start(
 
     Bodies are rigid and contact rows are springs of a part of the stiffness `unit` [N/m], with
     friction of any stiffness; equality rows that resist motions weakly, as soft springs do, are
-    springs too. With close_gaps, for the first active set, gaps have to be closed before contact
-    presses also where no soft support resists; SMALBE-M, which adds to these forces, takes fewer
-    products from the smallest ones. Raises `UnresistedMotion` if no admissible forces balance the
-    load e = R'f (11.16); `explain` adds, at a cost, how much friction it would take. Collective.
+    springs too. With close_gaps, for the first active set and the first bounds of Coulomb's law,
+    gaps have to be closed before contact presses also where no soft support resists; SMALBE-M,
+    which adds to these forces, takes fewer products from the smallest ones. Raises
+    `UnresistedMotion` if no admissible forces balance the load e = R'f (11.16); `explain` adds, at
+    a cost, how much friction it would take. Collective.
     """
     constraints = coarse_space.constraints
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
@@ -132,15 +133,18 @@ def _forces_with_friction(
     bound: SlipBound,
     explain: bool,
 ) -> Vector:
-    """Return the least-norm multipliers of contact and friction that balance the load on a group.
+    """Return the multipliers of contact and friction that balance the load on a group.
 
-    The equality rows do not resist its motions.
+    They have the least norm, with `gaps`, times stiffness, as linear costs of the contact forces:
+    open contacts press only where others and friction cannot hold the load. The equality rows do
+    not resist the motions of the group.
     """
     constraints, comm = coarse_space.constraints, coarse_space.comm
     multipliers, friction = np.zeros(constraints.size), constraints.friction
     moved_rows = _moved_rows(coarse_space, group.motions)
     owned = constraints.owned_contact_rows
-    closing = np.isfinite(gaps[: owned.size])
+    gaps = gaps[: owned.size]
+    closing = np.isfinite(gaps)
     pressing, first = _side_by_side(comm, sp.diags(closing.astype(float)) @ moved_rows[owned])
     mine = constraints.owned_sites
     present = friction.present[mine]
@@ -162,7 +166,9 @@ def _forces_with_friction(
     nothing = sp.csr_matrix((group.work.size, columns - pressing.shape[1] - rubbing.shape[1]))
     C = sp.hstack([pressing, rubbing, nothing], format="csr")
     C = C.toarray() if group.work.size <= _DENSE else C
-    forces, residual = least_norm(C, group.work, feasible)
+    gap = np.zeros(columns)
+    gap[: pressing.shape[1]] = concatenate_ranks(comm, np.where(closing, gaps, 0.0))
+    forces, residual = least_norm(C, group.work, feasible, gap=gap)
     if group.counts(residual):
         some = explain and (radius.any() or slope.any())
         factor = smallest_factor(C, group.work, feasible) if some else np.inf

@@ -9,7 +9,7 @@ import pytest
 from dense import DenseSystem
 from torn import column, cube
 
-from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactRows, Friction, Prescribed, TornSolver, TornSystem
 
 pytestmark = pytest.mark.once
 
@@ -50,3 +50,27 @@ def test_start_of_rigid_bodies():
         constraints = solver.setup.constraints
         forces = (solver.data.feasible * constraints.row_lengths)[constraints.inequality]
         np.testing.assert_allclose(forces, expected, atol=1e-8)
+
+
+def test_open_contacts_with_friction_do_not_press():
+    """A cube on the ground between two walls that would hold it by friction, were they closed."""
+    block = cube(1, load=(0.0, 0.0, -1.0))
+    x, _, z = block.coordinates.T
+    nodes = [block.nodes[side] for side in (z == 0.0, x == 0.0, x == 1.0)]
+    down, left = np.array([0.0, 0.0, -1.0]), np.array([-1.0, 0.0, 0.0])
+    rows = ContactRows.node_to_node(
+        np.concatenate(nodes),
+        np.full(12, -1),
+        np.repeat([down, left, -left], 4, axis=0),
+        np.repeat([0.0, 9.0, 9.0], 4),
+        np.repeat([0, 1, 2], 4),
+    )
+    across, up = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0])
+    tangents = np.repeat([[-left, across], [across, up], [across, up]], 4, axis=0)
+    friction = Friction(np.arange(12), tangents, np.zeros(12), coefficient=np.full(12, 0.5))
+    names = ["ground", "left", "right"]
+    system = TornSystem([block], Prescribed(), rows, 3, contact_names=names, friction=friction)
+    solver = TornSolver(system)
+    constraints = solver.setup.constraints
+    forces = (solver.data.feasible * constraints.row_lengths)[constraints.inequality]
+    np.testing.assert_allclose(forces, np.repeat([0.25, 0.0, 0.0], 4), atol=1e-8)
