@@ -121,7 +121,7 @@ class LoadStep:
     prescribed: Prescribed
     origin: SlipOrigin
     gradients: CellGradients
-    step_of_volume: float  # largest |grad du F^-1| for which volumes are linear enough
+    shear_over_bulk: float  # mu / kappa of the least compressible material
 
     def state_at(
         self,
@@ -222,13 +222,17 @@ class NewtonIteration:
         turned = [end - begin for end, begin in zip(motions, start, strict=True)]
         increment = np.concatenate([owned_values(du), bodies.as_vector(turned)])
         step = Iterate(state.displacement, increment, multipliers.flat())
-        size = self._load_step.gradients.largest_increment(
+        size, trace = self._load_step.gradients.largest_increment(
             nodes.values(self._load_step.u), nodes.values(du)
         )
         gdim, limit = nodes.components, self._options.newton_step_limit
         angles = [float(np.linalg.norm(motion[gdim:])) for motion in turned]
+        # A change of volume by tr(A^2) / 2, besides what is linear in the increment, is a pressure
+        # of at most mu: stresses above it, which equilibrium does not have, dominate the next
+        # tangent, and Newton's method wanders.
+        of_volume = np.sqrt(0.5 * trace / self._load_step.shear_over_bulk)
         # in units of what is allowed
-        excess = max([size / min(limit, self._load_step.step_of_volume), *np.divide(angles, limit)])
+        excess = max([size / limit, of_volume, *np.divide(angles, limit)])
         length = 1.0 if excess <= 1.0 else float(1.0 / excess)
         mixed = self._mixed(state, step) if length == 1.0 else None
         new, length = self._shortened(mixed or step, multipliers, length, state.rows)

@@ -134,7 +134,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             displacement=u,
         )
         self._gradients = CellGradients(self.space)
-        self._step_of_volume = self._largest_step_of_volume()
+        self._shear_over_bulk = self._smallest_shear_over_bulk()
 
     def solve(
         self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
@@ -180,15 +180,10 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._view()
         return self.u
 
-    def _largest_step_of_volume(self) -> float:
-        """Return the largest |grad du F^-1| for which volumes are linear enough. Collective.
-
-        An increment of size h changes the volume by h^2 / 2 besides what is linear in it. The
-        pressure of that, kappa h^2 / 2, is at most the shear modulus: stresses above it, which
-        equilibrium does not have, dominate the next tangent, and Newton's method wanders.
-        """
+    def _smallest_shear_over_bulk(self) -> float:
+        """Return mu / kappa of the least compressible subdomain. Collective."""
         ratio = max(compressibility(self._torn.torn.subdomains).values(), default=1.0)
-        return float(np.sqrt(2.0 / self.space.mesh.comm.allreduce(ratio, MPI.MAX)))
+        return 1.0 / float(self.space.mesh.comm.allreduce(ratio, MPI.MAX))
 
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(self.u)
@@ -206,7 +201,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             self._torn.undeformed.prescribed,
             self._step.origin,
             self._gradients,
-            self._step_of_volume,
+            self._shear_over_bulk,
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])

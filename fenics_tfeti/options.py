@@ -74,9 +74,9 @@ class NewtonOptions(ContactOptions):
         Limit on the Newton steps of a load step.
     newton_step_limit : float
         Largest ``|grad du F^-1|`` of a Newton step, strain or rotation [rad]; longer steps are cut.
-        Deformable bodies of materials that are nearly incompressible when the problem is posed take
-        at most ``sqrt(2 mu / kappa)``, of the shear and the bulk modulus: 0.2 for Poisson's ratio
-        0.49, 0.063 for 0.499.
+        In materials that are nearly incompressible when the problem is posed, ``|tr((grad du
+        F^-1)^2)|`` is at most ``2 mu / kappa``, of the shear and the bulk modulus: stretches are at
+        most 0.2 for Poisson's ratio 0.49, 0.063 for 0.499; simple shear is not cut.
     newton_anderson : int
         How many earlier steps are mixed with each; 0 for none.
     tangent : {"auto", "exact", "projected"}

@@ -55,14 +55,20 @@ class CellGradients:
         """Yield gradients of fields (nodes, gdim) at all nodes of this rank, by batches."""
         return self._over_cells(self._at_midpoint, *fields)
 
-    def largest_increment(self, u: Vector, du: Vector) -> float:
-        """Return the largest |grad du F^-1| at midpoints, of values at all nodes. Collective."""
-        largest = 0.0
+    def largest_increment(self, u: Vector, du: Vector) -> tuple[float, float]:
+        """Return the largest |A| and |tr(A^2)|, A = grad du F^-1 at midpoints. Collective.
+
+        Values are at all nodes. Half of the trace is what ln det F changes by beside tr(A).
+        """
+        largest = np.zeros(2)
         for batch in self.at_midpoints(u, du):
             present, increment = batch.fields
-            turned = increment @ np.linalg.inv(np.eye(u.shape[1]) + present)
-            largest = max(largest, float(np.linalg.norm(turned, axis=(2, 3)).max(initial=0.0)))
-        return float(self._space.mesh.comm.allreduce(largest, MPI.MAX))
+            A = increment @ np.linalg.inv(np.eye(u.shape[1]) + present)
+            traces = np.abs(np.trace(A @ A, axis1=2, axis2=3))
+            sizes = [np.linalg.norm(A, axis=(2, 3)).max(initial=0.0), traces.max(initial=0.0)]
+            largest = np.maximum(largest, sizes)
+        self._space.mesh.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+        return float(largest[0]), float(largest[1])
 
     def smallest_volume_ratio(self, u: Vector) -> tuple[float, str]:
         """Return the smallest det(I + grad u) at nodes of cells, and where it is. Collective."""

@@ -174,23 +174,34 @@ def test_obstacle_that_long_steps_cannot_reach():
     assert lengths[-1] == 1.0
 
 
-@pytest.mark.parametrize("limit", [0.3, 0.25])
-def test_steps_are_cut_where_cells_would_change_too_much(limit):
-    """A uniform stretch of 1 - 0.54, each part of which is in equilibrium, in steps of a limit."""
+def steps_to_uniform(gradient, limit, energy=None):
+    """Return the Newton steps to a uniform gradient, each part of which is in equilibrium."""
     scene = indented_block(n=4)
     u, V = scene.problem.u, scene.problem.space
-    squeezed = fem.Function(V)
-    squeezed.interpolate(lambda x: np.array([-0.54 * x[0], 0.0 * x[1]]))
+    end = fem.Function(V)
+    end.interpolate(lambda x: np.array(gradient) @ x[:2])
     edge = fem.locate_dofs_geometrical(V, lambda x: (abs(x[0]) > 0.99) | (abs(x[1] - 0.5) > 0.49))
-    bc, options = fem.dirichletbc(squeezed, edge), {"newton_rtol": 1e-3}
-    problem = NonlinearContactProblem(residual(scene), u, bcs=bc, options=options)
+    bc, options = fem.dirichletbc(end, edge), {"newton_rtol": 1e-3}
+    F = residual(scene, energy and energy(u) * ufl.dx)
+    problem = NonlinearContactProblem(F, u, bcs=bc, options=options)
     problem.options = replace(problem.options, newton_step_limit=limit)
     problem.solve()
-    lengths = [step.length for step in problem.report.newton]
+    return problem.report.newton
+
+
+@pytest.mark.parametrize("limit", [0.3, 0.25])
+def test_steps_are_cut_where_cells_would_change_too_much(limit):
+    steps = steps_to_uniform([[-0.54, 0.0], [0.0, 0.0]], limit)
     second = limit * (1 - limit) / (0.54 - limit)
-    assert lengths == pytest.approx([limit / 0.54, second, 1.0], rel=1e-3)
+    assert [step.length for step in steps] == pytest.approx([limit / 0.54, second, 1.0], rel=1e-3)
     # Anderson mixing takes whole steps alone
-    assert not any(step.mixed for step in problem.report.newton)
+    assert not any(step.mixed for step in steps)
+
+
+@pytest.mark.filterwarnings("ignore:.*displacements of degree 1 lock")
+def test_simple_shear_of_rubber_is_not_cut_for_its_volume():
+    steps = steps_to_uniform([[0.0, 0.5], [0.0, 0.0]], 0.3, neo_hookean(1.0, 0.499))
+    assert [step.length for step in steps[:2]] == pytest.approx([0.6, 1.0], rel=1e-3)
 
 
 def test_contact_that_opens_and_closes():
