@@ -25,7 +25,9 @@ class AndersonMixing:
     """The last few steps with the same pressing nodes, combined for the smallest next step.
 
     Increments have a relative accuracy. Differences that depend on each other up to that would have
-    large coefficients, which the errors of the increments determine.
+    large coefficients, which the errors of the increments determine. The residual may grow in a
+    mixed step that takes a rolling body as far as many plain ones: linear rotations change volumes,
+    which the next step corrects.
     """
 
     def __init__(self, comm: MPI.Intracomm, depth: int, accuracy: float) -> None:
