@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import finite_strains
@@ -85,3 +87,14 @@ def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scal
     assert result.residual == pytest.approx(0.25 / force)
     assert result.separation == pytest.approx(0.5 if pressure else 0.0)
     assert result.place == format_point(problem._torn.nodes.coordinates[nodes[0]])
+
+
+def test_penetration_before_anything_moves_is_infinite(blocks):
+    """Relative to the displacement, and without a warning of NumPy."""
+    problem, rows = blocks
+    given, prescribed = Multipliers.none(rows), problem._torn.undeformed.prescribed
+    overlapping = replace(rows, contacts=replace(rows.contacts, gap=np.full(9, -10.0)))
+    u = np.zeros_like(rows.force(given)[0])
+    with np.errstate(all="raise"):
+        result = Equilibrium.of(u, overlapping, given, prescribed, u, ForceScale())
+    assert result.penetration == np.inf

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import (
     body_names,
     cell_facets,
@@ -126,6 +127,8 @@ def _bounding_boxes(
         high[present, k] = np.maximum.reduceat(x, first * nodes.shape[1])
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
+    noise = RELATIVE_ROUNDING * (high - low).max(axis=1, keepdims=True)
+    low, high = (np.where(np.abs(x) < noise, 0.0, x) for x in (low, high))
     return [
         " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(*box, strict=True))
         for box in zip(low, high, strict=True)

@@ -232,8 +232,8 @@ class Equilibrium:
         penetration, separation, size = largest.tolist()
         least = max(scale.force, scale.stiffness * size)
         # a load on a body at rest is balanced by nothing yet
-        force = max(least, reaction, pressing) or residual or float(np.finfo(float).tiny)
-        size = size or np.finfo(float).tiny
+        tiny = float(np.finfo(float).tiny)
+        force, size = max(least, reaction, pressing) or residual or tiny, size or tiny
         return Equilibrium(
             residual / force, penetration / size, separation / size, force, _largest(nodes, r)
         )

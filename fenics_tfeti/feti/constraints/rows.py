@@ -273,12 +273,13 @@ def _check_pressed(system: TornSystem, friction: FrictionRows, normal: Numbers) 
     with raise_collectively(system.comm):
         lost = (friction.own >= 0) & (normal < 0) & (np.asarray(system.friction.coefficient) > 0.0)
         if lost.any():
-            row = system.friction.row[np.flatnonzero(lost)[0]]
+            row, contacts = system.friction.row[np.flatnonzero(lost)[0]], system.contacts
             raise InputError(
                 f"friction: at {np.count_nonzero(lost)} contact rows with a coefficient of "
-                f"friction, the first of slave node {system.contacts.slave[row]}, the normal force "
-                "is not known: prescribed displacements or another contact decide the gap. Take "
-                "friction out of these rows, or give them a slip bound"
+                f"friction, the first of slave node {contacts.slave[row]} in "
+                f"{system.contact_name(int(contacts.contact[row]))}, the normal force is not "
+                "known: prescribed displacements or another contact with the same normal decide "
+                "the gap. Take friction out of these rows, or give them a slip bound"
             )
 
 

@@ -65,6 +65,12 @@ def test_names_have_tag_and_bounding_box():
     ]
 
 
+def test_bounding_boxes_have_no_rounding_of_coordinates():
+    points, cells = grid((2, 1))
+    bodies = find_bodies(mesh_of(COMM, "quadrilateral", points - 1e-15, cells), None)
+    assert bodies.names == ["body 0 in [0, 2] x [0, 1]"]
+
+
 def test_names_of_tags_are_those_of_bodies():
     """Where a tag has one, in place of the tag."""
     parts = boxes(
