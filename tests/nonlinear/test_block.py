@@ -72,7 +72,7 @@ def test_turned_block_of_degree_2():
     np.testing.assert_allclose(forces[1], forces[0], atol=1e-8)
 
 
-@pytest.mark.parametrize("first", [1 / 6, 1.0])
+@pytest.mark.parametrize("first", [pytest.param(1 / 6, marks=heavy), 1.0])
 def test_nearly_incompressible(first):
     """Its volumetric energy is integrated by one point of each cell; no load step is cut."""
 
