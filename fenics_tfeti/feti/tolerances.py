@@ -62,7 +62,8 @@ PARALLEL = rounding(1.0, GIVEN)
 # largest one of their node, gaps relative to the sum of the magnitudes they are computed from
 SAME_VALUE = 1e-10
 # parts of positions and motions, relative to the body or the motion, that do not matter: places of
-# the copies of a node, points on a line, and what is not named in messages
+# the copies of a node, points on a line, and what is not named in messages; change of a certificate
+# that counts as none
 NEGLIGIBLE = 1e-6
 # gap, relative to the largest penetration, that is far: it has no part in a contradiction
 FAR = 1e6

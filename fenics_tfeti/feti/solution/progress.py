@@ -10,6 +10,7 @@ import numpy as np
 from fenics_tfeti.feti.dual.iterate import Method
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.scale import EnergyScale
+from fenics_tfeti.feti.tolerances import NEGLIGIBLE
 
 # limit on the passes of the outer loop; most solutions take one to three
 _PASSES = 50
@@ -30,8 +31,8 @@ class Stagnation(Enum):
 class Progress:
     """The decrease of the certificate from pass to pass.
 
-    A pass that does not change the certificate is no failure: it has only brought the tolerance
-    down to the iterate.
+    A pass that does not change the certificate but for rounding is no failure: it has only brought
+    the tolerance down to the iterate.
     """
 
     scale: EnergyScale  # rounding is relative to it
@@ -65,7 +66,7 @@ class Progress:
     def _update(self, certificate: Certificate, tolerance: float) -> None:
         self.passes += 1
         last, self.last = self.last, (certificate.bound, certificate.worst)
-        if self.last == last:
+        if np.allclose(self.last, last, rtol=NEGLIGIBLE, atol=0.0):
             self.tolerance = tolerance
         else:
             self.failures += 1

@@ -32,6 +32,7 @@ def judged(
         ([1.0, 0.9, 0.8, 0.7], [1.0, 0.5, 0.25, 0.125], False),  # hardly smaller tolerances
         ([1.0, 0.9, 0.4, 0.39, 0.38], [1.0, 0.1, 0.01, 1e-3, 1e-4], False),  # halved on the way
         ([1.0, 1.0, 1.0, 1.0, 0.9], [1.0, 0.1, 1e-2, 1e-3, 1e-4], False),  # nothing was changed
+        ([1.0, 0.9, 0.9 - 1e-8, 0.9 - 2e-8, 0.8], [1.0, 0.1, 1e-2, 1e-3, 1e-4], False),  # nor here
     ],
 )
 def test_stagnation(numbers, tolerances, stagnates):
