@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -210,9 +210,7 @@ class NewtonIteration:
 
     def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
-        nodes = self._load_step.torn.nodes
         self.solution = solution = self._solve_linearised(state, monitor)
-        du = self._increment
         multipliers = Multipliers.of(state.rows, solution)
         changed = (multipliers.normal > 0.0) != state.pressing()
         self._alternating = changed & self._changed if self._changed.size else changed & False
@@ -220,20 +218,9 @@ class NewtonIteration:
         bodies, start = state.bodies, state.bodies.motions
         motions = state.rows.conditions.motions_after(solution.displacements)
         turned = [end - begin for end, begin in zip(motions, start, strict=True)]
-        increment = np.concatenate([owned_values(du), bodies.as_vector(turned)])
+        increment = np.concatenate([owned_values(self._increment), bodies.as_vector(turned)])
         step = Iterate(state.displacement, increment, multipliers.flat())
-        size, trace = self._load_step.gradients.largest_increment(
-            nodes.values(self._load_step.u), nodes.values(du)
-        )
-        gdim, limit = nodes.components, self._options.newton_step_limit
-        angles = [float(np.linalg.norm(motion[gdim:])) for motion in turned]
-        # A change of volume by tr(A^2) / 2, besides what is linear in the increment, is a pressure
-        # of at most mu: stresses above it, which equilibrium does not have, dominate the next
-        # tangent, and Newton's method wanders.
-        of_volume = np.sqrt(0.5 * trace / self._load_step.shear_over_bulk)
-        # in units of what is allowed
-        excess = max([size / limit, of_volume, *np.divide(angles, limit)])
-        length = 1.0 if excess <= 1.0 else float(1.0 / excess)
+        length = self._allowed_length(turned)
         mixed = self._mixed(state, step) if length == 1.0 else None
         new, length = self._shortened(mixed or step, multipliers, length, state.rows)
         self.steps.append(
@@ -250,6 +237,23 @@ class NewtonIteration:
             )
         )
         return new
+
+    def _allowed_length(self, turned: Sequence[Vector]) -> float:
+        """Return the part of the increment that may be taken, with motions of bodies. Collective.
+
+        A change of volume by tr(A^2) / 2, besides what is linear in the increment, is a pressure of
+        at most mu: stresses above it, which equilibrium does not have, dominate the next tangent,
+        and Newton's method wanders.
+        """
+        load_step, limit = self._load_step, self._options.newton_step_limit
+        nodes = load_step.torn.nodes
+        u, du = nodes.values(load_step.u), nodes.values(self._increment)
+        size, trace = load_step.gradients.largest_increment(u, du)
+        angles = [float(np.linalg.norm(motion[nodes.components :])) for motion in turned]
+        of_volume = np.sqrt(0.5 * trace / load_step.shear_over_bulk)
+        # in units of what is allowed
+        excess = max([size / limit, of_volume, *np.divide(angles, limit)])
+        return 1.0 if excess <= 1.0 else float(1.0 / excess)
 
     def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
         """Solve the contact problem for the increment, which is filled."""
