@@ -19,7 +19,7 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 import ufl
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions, cell_dofs, element_facts
@@ -38,11 +38,12 @@ class ContactStiffness:
     """The pressures on surfaces with normals that turn, and their stiffness on subdomains."""
 
     def __init__(self, u: Function, contacts: Sequence[Contact], compiler: CompilerOptions) -> None:
-        self._nodes, self._at_vertices = NodeMap(u.function_space), _at_vertices(u.function_space)
+        self._nodes = NodeMap(u.function_space)
         self._forms: PreparedForms | None = None
         turning = [contact for contact in contacts if has_turning_normals(contact)]
         if turning:
             facets = [c.facet_tags.find(tag) for c in turning for tag in _surfaces(c)]
+            self._at_vertices = _at_vertices(self._nodes)
             self._pressure, self._forms = _forms(u, np.unique(np.concatenate(facets)), compiler)
 
     def matrices(self, torn: TornMesh, force: Vector) -> list[sp.csr_matrix | None]:
@@ -117,14 +118,13 @@ def _forms(
     return pressure, prepare_forms(V, stiffness, ufl.inner(area, v) * ds, compiler)
 
 
-def _at_vertices(space: FunctionSpace) -> sp.csr_matrix:
+def _at_vertices(nodes: NodeMap) -> sp.csr_matrix:
     """Return the matrix (nodes, nodes) that takes values at vertices to all nodes, in degree 1."""
-    kind, dofs = cell_type(space.mesh), cell_dofs(space)
+    kind, dofs = cell_type(nodes.space.mesh), cell_dofs(nodes.space)
     around = [(k,) for k in range(kind.vertices)] + list(kind.midpoints)
     pairs = [(k, j) for k in range(dofs.shape[1]) for j in around[k]]
     rows, columns = (dofs[:, list(side)].ravel() for side in zip(*pairs, strict=True))
-    size = NodeMap(space).size
-    cells = sp.csr_matrix((np.ones(rows.size), (rows, columns)), shape=(size, size))
+    cells = sp.csr_matrix((np.ones(rows.size), (rows, columns)), shape=(nodes.size, nodes.size))
     return sp.diags(1.0 / cells.sum(axis=1).A1) @ cells
 
 

@@ -213,8 +213,6 @@ class CoarseSpace:
             below,
             unresisted,
         )
-        if not resistance.size:
-            return z.tocsr(), z.tocsr()
         free = resistance <= unresisted
         return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
 
