@@ -6,29 +6,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from torn import column, cube, node_rows, with_fields, with_prescribed
+from torn import column, cube, in_units, node_rows, with_fields, with_prescribed
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 
 pytestmark = pytest.mark.once
 
 METHODS = pytest.mark.parametrize("method", ["active_set", "smalbe"])
-
-
-def in_units(system: TornSystem, force: float, length: float) -> TornSystem:
-    """Return the system with forces and lengths in other units; stiffness is force over length."""
-    subdomains = [
-        dataclasses.replace(
-            s,
-            stiffness=s.stiffness * (force / length),
-            load=s.load * force,
-            coordinates=s.coordinates * length,
-        )
-        for s in system.subdomains
-    ]
-    system = dataclasses.replace(system, subdomains=subdomains)
-    system = with_fields(system, "contacts", gap=system.contacts.gap * length)
-    return with_fields(system, "prescribed", values=system.prescribed.values * length)
 
 
 def column_with_gap() -> TornSystem:

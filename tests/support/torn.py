@@ -61,6 +61,25 @@ def with_fields(system: TornSystem, part: str, **changes) -> TornSystem:
     return dataclasses.replace(system, **{part: changed})
 
 
+def in_units(system: TornSystem, force: float, length: float) -> TornSystem:
+    """Return the system with forces and lengths in other units; stiffness is force over length."""
+    subdomains = [
+        dataclasses.replace(
+            s,
+            stiffness=s.stiffness * (force / length),
+            load=s.load * force,
+            coordinates=s.coordinates * length,
+        )
+        for s in system.subdomains
+    ]
+    system = dataclasses.replace(system, subdomains=subdomains)
+    if system.friction.size:
+        bound, slip = force * system.friction.bound, length * np.asarray(system.friction.slip)
+        system = with_fields(system, "friction", bound=bound, slip=slip)
+    system = with_fields(system, "contacts", gap=system.contacts.gap * length)
+    return with_fields(system, "prescribed", values=system.prescribed.values * length)
+
+
 def column(n: int = 3, height: int = 2, contact: bool = True, load=(0, 0, -1.0)) -> TornSystem:
     """Return a lower body of `height` cubes, fixed at its bottom, and a cube on top, free or glued.
 

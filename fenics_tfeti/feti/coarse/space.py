@@ -183,6 +183,16 @@ class CoarseSpace:
                 batch.put(displacement, own[self._places(batch)] @ R.T)
         return displacement
 
+    def without_rigid_motion(self, x: Vector) -> Vector:
+        """Return x - RR'x on this rank's torn unknowns."""
+        rest = np.empty_like(x)
+        for congruent in self.interface.classes:
+            R = self.kernels[congruent.first]
+            for batch in congruent.batches():
+                rows = batch.rows(x)
+                batch.put(rest, rows - (rows @ R) @ R.T)
+        return rest
+
     def own_part(self, coarse: Vector) -> Vector:
         """Return this rank's part of a coarse vector."""
         return coarse[self.layout.own]

@@ -36,7 +36,7 @@ _TURNS = 8
 class Recovered:
     """Displacements recovered from multipliers."""
 
-    strained: Vector  # (n,) K^+(f - B'lambda): u_t without its rigid motions [m]
+    strained: Vector  # (n,) P_R K^+(f - B'lambda): u_t without its rigid motions [m]
     torn: Vector  # (n,) u_t [m]
     displacement: Vector  # (n,) u: copies of a node are equal, no contact is penetrated [m]
     jumps: Vector  # (m,) Bu - c
@@ -108,11 +108,10 @@ def recover_displacement(
     that penetrates nothing. A weight of 1 stands for the stiffness `unit` [N/m].
     """
     coarse_space, rows = face.coarse_space, F.constraints.inequality
-    forces = load - F.constraint_forces(multipliers)
-    # what rounding leaves in the kernel of K; K^+ would turn it into a displacement
-    strained = F.generalized_inverse(
-        forces - coarse_space.rigid_motion(coarse_space.coarse_load(forces))
-    )
+    # what rounding leaves in the kernel of K would become a displacement, and the choice of K^+
+    # would show in its motions
+    forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
+    strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
     torn = strained + coarse_space.rigid_motion(_motions(F, face, c, strained, multipliers))
     displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
     sticking = F.constraints.friction.within(face.rows)
@@ -126,8 +125,6 @@ def _motions(
     """Return alpha for a torn displacement without rigid motions: in each of its three parts."""
     coarse_space = face.coarse_space
     alpha = face.coefficients(c - F.jumps(strained))
-    # K^+ leaves some of the free motions in u
-    alpha -= face.free @ (face.free.T @ coarse_space.coarse_load(strained))
     # once more for what rounding has left
     alpha += face.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
     loose = LooseBodies.on_face(face)

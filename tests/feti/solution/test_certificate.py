@@ -8,14 +8,19 @@ from functools import cache
 import numpy as np
 import pytest
 import scipy.linalg
-from friction_problems import pushed_block
+from friction_problems import blocks_that_do_not_match, pushed_block
 from pairwise import pairwise
-from torn import column, with_fields, with_prescribed
+from torn import column, in_units, with_fields, with_prescribed
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
+from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
-from fenics_tfeti.feti.solution.recovery import balance_multipliers, recover_displacement
+from fenics_tfeti.feti.solution.recovery import (
+    Recovered,
+    balance_multipliers,
+    recover_displacement,
+)
 
 pytestmark = pytest.mark.once
 
@@ -180,8 +185,10 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
     assert certificate.bodies[2].error == 0.0
 
 
-def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
-    """Return the certificate of multipliers, and of the displacements that follow from them."""
+def recovered_from(
+    solver: TornSolver, multipliers: np.ndarray
+) -> tuple[Recovered, np.ndarray, Projector]:
+    """Return the displacements that follow from multipliers, these balanced, and their face."""
     data, setup = solver.data, solver.setup
     multipliers, face = balance_multipliers(
         setup.projector.coarse_space, data.e, multipliers, data.radius
@@ -189,8 +196,13 @@ def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
     recovered = recover_displacement(
         setup.F, face, data.load, data.c, multipliers, setup.local.unit
     )
+    return recovered, multipliers, face
+
+
+def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
+    """Return the certificate of multipliers, and of the displacements that follow from them."""
     problem = PrimalProblem(solver.setup, solver.data, solver.system.body_names)
-    return problem.certify(recovered, multipliers, face)[0]
+    return problem.certify(*recovered_from(solver, multipliers))[0]
 
 
 def test_no_bound_where_contact_forces_do_not_balance_the_load():
@@ -227,3 +239,29 @@ def test_errors_of_nearly_unloaded_bodies_are_bounded_absolutely(part, relative)
     assert bounded.groups[1].error == pytest.approx(relative, rel=1e-5)
     assert bounded.bodies[1].error == pytest.approx(relative, rel=1e-5)
     assert bounded.worst == pytest.approx(max(relative, 1e-9), rel=1e-5)
+
+
+def largest_strained(x: np.ndarray, u: np.ndarray) -> float:
+    """Return the largest component of a displacement without its rigid motion."""
+    motions = [np.tile(axis, len(x)) for axis in np.eye(3)]
+    motions += [np.cross(axis, x).ravel() for axis in np.eye(3)]
+    rigid = np.transpose(motions)
+    return float(np.abs(u - rigid @ np.linalg.lstsq(rigid, u, rcond=None)[0]).max())
+
+
+@pytest.mark.parametrize("length", [1.0, 1e-9])
+def test_slip_across_the_force_is_relative_to_the_deformation(length):
+    """In metres, of rows of any length; whichever nodes hold the subdomains in K^+."""
+    solver = TornSolver(in_units(blocks_that_do_not_match(), 1.0, length), Options(rtol=1e-2))
+    found = solver.solve()
+    torn = recovered_from(solver, found.multipliers)[0].torn
+    parts = np.split(torn, solver.setup.local.unknowns.ends[1:-1])
+    deformation = max(
+        largest_strained(s.coordinates / length, u)
+        for s, u in zip(solver.system.subdomains, parts, strict=True)
+    )
+    force = found.tangential_force / np.linalg.norm(found.tangential_force, axis=1)[:, None]
+    along = np.maximum(np.sum(found.slip * force, axis=1), 0.0)
+    across = np.linalg.norm(found.slip - along[:, None] * force, axis=1)[~found.sticking].max()
+    expected = across / deformation
+    assert 1e-3 < expected == pytest.approx(found.report.certificate.slip_across_force, rel=1e-9)
