@@ -21,7 +21,7 @@ from fenics_tfeti.feti import (
 )
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import _Progress, close_first_gaps
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, pcpg
+from fenics_tfeti.feti.dual.pcpg import ContactState, Face, _scaled, pcpg
 from fenics_tfeti.qp import Products, balls
 
 pytestmark = pytest.mark.once
@@ -220,6 +220,18 @@ def test_curvature_of_forces_that_turn():
     expected = np.where(slipping, np.linalg.norm(slips, axis=1) / radius, 0.0)
     expected[1] = 0.0
     np.testing.assert_allclose(found.curvature, expected, rtol=1e-12)
+
+
+def test_preconditioner_of_forces_that_turn_is_the_inverse_for_rows_alone():
+    """(I / unit + curvature t t')^{-1} of the tangents t, where F is I / unit."""
+    problem, rng = TornSolver(pushed_block(), Options()).dual_problem(), np.random.default_rng(0)
+    friction, x = problem.constraints.friction, rng.standard_normal(problem.d.size)
+    tangent = balls.directions(rng.standard_normal((friction.size, 2)))
+    curvature = 10.0 ** rng.uniform(-2, 2, friction.size) / problem.unit
+    found = _scaled(problem, lambda y: problem.unit * y, curvature, tangent)(x)
+    along = curvature * np.sum(friction.at_sites(found) * tangent, axis=1)
+    left = found / problem.unit + friction.spread(along[:, None] * tangent, x.size)
+    np.testing.assert_allclose(left, x, atol=1e-13)
 
 
 @pytest.mark.parametrize("preconditioner", ["none", "lumped", "dirichlet"])
