@@ -25,7 +25,7 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize(("cell", "slave"), zip(CASES, cycle((LOWER, UPPER)), strict=False))
+@pytest.mark.parametrize(("cell", "slave"), list(zip(CASES, cycle((LOWER, UPPER)), strict=False)))
 def test_patch(cell, slave):
     result = solved(CASES[cell], slave, COMM)
     assert result.displacement < 1e-10

@@ -53,7 +53,9 @@ def warnings_of(scene, **arguments):
     return [str(warning.message) for warning in caught if warning.category is UserWarning]
 
 
-@pytest.mark.parametrize(("cell", "poisson"), zip(CELLS, cycle((0.495, 0.4999)), strict=False))
+@pytest.mark.parametrize(
+    ("cell", "poisson"), list(zip(CELLS, cycle((0.495, 0.4999)), strict=False))
+)
 def test_nearly_incompressible_cells_of_degree_1(cell, poisson):
     (message,) = told(cell, lambda u, v: hooke(u, v, poisson))
     assert f"degree 1 lock at a Poisson's ratio of {poisson:.4g}" in message

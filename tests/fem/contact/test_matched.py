@@ -37,7 +37,7 @@ def displacement_error(problem, uh, expected):
     return np.abs(difference - difference[0]).max() / np.abs(u - u[0]).max()
 
 
-@pytest.mark.parametrize(("cell", "degree"), zip(CELLS, (2, 1, 1, 2), strict=True))
+@pytest.mark.parametrize(("cell", "degree"), list(zip(CELLS, (2, 1, 1, 2), strict=True)))
 def test_any_strain(cell, degree):
     """Edges and corners are in several pairs: their rows depend on each other."""
     E = STRAIN[: CELLS[cell], : CELLS[cell]]

@@ -99,7 +99,7 @@ def test_normals_that_cancel_are_refused():
         surface_of(displacement_space(domain), tags, SLAVE)
 
 
-@pytest.mark.parametrize(("cell", "degree"), zip(CELLS, (2, 1, 1, 2), strict=True))
+@pytest.mark.parametrize(("cell", "degree"), list(zip(CELLS, (2, 1, 1, 2), strict=True)))
 def test_normals_and_areas_are_those_of_forms(cell, degree):
     """On a wavy surface of straight or curved cells, without and with a weight."""
     mesh = of_degree_two(cell, halves, 2).mesh
