@@ -20,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import NO_TAG, body_names, dense_tags, distinct_rows, owned_cells
@@ -260,7 +260,7 @@ def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Op
     corners = np.array(whole.kind.facet_nodes(1))[facet]
     points = x[np.take_along_axis(nodes, corners, axis=1)]
     outward = points.mean(axis=1) - x[nodes[:, : whole.kind.vertices]].mean(axis=1)
-    normal = corner_normals(points).sum(axis=1)
+    normal = facet_normals(points)
     normal *= np.sign(np.sum(normal * outward, axis=1))[:, None]
     # the squares add up for both sides
     up = np.linalg.eigh(normal.T @ normal)[1][:, -1]

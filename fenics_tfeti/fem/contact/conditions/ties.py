@@ -24,8 +24,9 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
     TiedPair,
 )
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.contact.rigid.frames import are_same
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals, unit
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong

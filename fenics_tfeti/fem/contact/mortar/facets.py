@@ -140,25 +140,15 @@ class Planes:
     @staticmethod
     def of(x: Vector) -> Planes:
         """Find the planes of facets with the corners x (f, v, gdim)."""
-        v, gdim = x.shape[1:]
-        edge = x[:, 1] - x[:, 0]
-        pairs = [(i, j) for i in range(v) for j in range(i)]
-        lengths = [np.linalg.norm(x[:, i] - x[:, j], axis=1) for i, j in pairs]
-        diameter: Vector = np.max(lengths, axis=0)
-        if gdim == 2:
-            area = diameter
-            first = edge / area[:, None]
-            axes = np.stack([first, np.column_stack([first[:, 1], -first[:, 0]])], axis=1)
-            return Planes(x.mean(axis=1), axes, area, diameter)
-        # for a quadrilateral the cross product of its diagonals
-        u, w = (edge, x[:, 2] - x[:, 0]) if v == 3 else (x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])
-        normal = np.cross(u, w)
-        length = np.linalg.norm(normal, axis=1)
-        normal /= length[:, None]
-        first = edge - np.sum(edge * normal, axis=1)[:, None] * normal
+        lines = (x[:, i] - x[:, j] for i in range(x.shape[1]) for j in range(i))
+        diameter = np.sqrt(reduce(np.maximum, (np.einsum("fd,fd->f", u, u) for u in lines)))
+        normal, edge = facet_normals(x), x[:, 1] - x[:, 0]
+        area = np.linalg.norm(normal, axis=1)
+        normal /= area[:, None]
+        first = edge - np.einsum("fd,fd->f", edge, normal)[:, None] * normal
         first /= np.linalg.norm(first, axis=1)[:, None]
-        axes = np.stack([first, np.cross(normal, first), normal], axis=1)
-        return Planes(x.mean(axis=1), axes, 0.5 * length, diameter)
+        axes = [first, normal] if x.shape[2] == 2 else [first, cross(normal, first), normal]
+        return Planes(centres(x), np.stack(axes, axis=1), area, diameter)
 
     def chosen(self, rows: Numbers) -> Planes:
         """Return some of the planes."""
@@ -177,6 +167,32 @@ class Planes:
             for axis in np.moveaxis(self.axes, 1, 0)
         ]
         return by_component([part.T for part in parts])
+
+
+def facet_normals(corners: Vector) -> Vector:
+    """Return the integrals (f, gdim) of the unit normal over facets [m^2 or m].
+
+    The corners are (f, v, gdim) [m], for the direction see `Facets`. The length of a normal is that
+    of the segment or the area of the triangle; of a quadrilateral, by its diagonals, it is the area
+    of its projection on the plane that is perpendicular to it.
+    """
+    if corners.shape[2] == 2:
+        edge = corners[:, 1] - corners[:, 0]
+        return np.column_stack([edge[:, 1], -edge[:, 0]])
+    x = np.moveaxis(corners, 1, 0)
+    u, w = (x[1] - x[0], x[2] - x[0]) if len(x) == 3 else (x[2] - x[0], x[3] - x[1])
+    return 0.5 * cross(u, w)
+
+
+def cross(u: Vector, w: Vector) -> Vector:
+    """Return the cross products (..., 3), ten times as fast as NumPy's."""
+    (a, b, c), (d, e, f) = (np.moveaxis(x, -1, 0) for x in (u, w))
+    return np.stack([b * f - c * e, c * d - a * f, a * e - b * d], axis=-1)
+
+
+def centres(x: Vector) -> Vector:
+    """Return the mean (k, d) of x (k, v, d) over the corners, ten times as fast as NumPy's."""
+    return np.einsum("kvd->kd", x) / x.shape[1]
 
 
 def lowest(x: Vector) -> Vector:

@@ -12,7 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.topology import cell_facets, distinct_rows, exterior_cell_facets
@@ -55,7 +56,7 @@ class ExteriorFacets:
         edges = ends.reshape(self.number.size * v, gdim - 1)
         facet = np.repeat(np.arange(self.number.size), v)
         keys = np.column_stack([self.body[facet], edges])
-        normal = Planes.of(self.corners).normal[facet]
+        normal = unit(facet_normals(self.corners))[facet]
         part = _components(_smooth_pairs(keys, normal, facet), self.number.size)
         # parts of faces on this rank, numbered over all ranks, then joined through their edges
         first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)

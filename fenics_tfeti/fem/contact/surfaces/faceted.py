@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.mortar.facets import Facets, centres, facet_normals
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, ON_CORNER, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -31,18 +31,6 @@ class Distance:
     normal: Vector  # (k, gdim)
 
 
-def facet_normals(corners: Vector) -> Vector:
-    """Return the normals (m, gdim) of segments or triangles, of the length of their length or area.
-
-    Seen along a segment, from corner 0 to 1, its normal points to the right; seen from the tip of
-    its normal, a triangle has its corners anticlockwise. The corners are (m, gdim, gdim) [m].
-    """
-    edges = corners[:, 1:] - corners[:, :1]
-    if corners.shape[2] == 2:
-        return np.column_stack([edges[:, 0, 1], -edges[:, 0, 0]])
-    return 0.5 * np.cross(edges[:, 0], edges[:, 1])
-
-
 class FacetedSurface:
     """A surface of segments (2D) or triangles (3D), open or closed, oriented as `facet_normals`."""
 
@@ -50,7 +38,7 @@ class FacetedSurface:
         self._corners = points[facets]
         areas = facet_normals(self._corners)
         self._normals = unit(areas)
-        self._centres = cKDTree(self._corners.mean(axis=1))
+        self._centres = cKDTree(centres(self._corners))
         self._tree = BoxTree(self._corners)
         self._rounding = COORDINATE_ROUNDING * float(np.abs(points).max(initial=0.0))
         self._describe_features(facets)

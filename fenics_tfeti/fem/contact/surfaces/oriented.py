@@ -11,8 +11,13 @@ from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import corner_functions, reference_nodes
-from fenics_tfeti.fem.contact.surfaces.faceted import facet_normals
+from fenics_tfeti.fem.contact.mortar.facets import (
+    centres,
+    corner_functions,
+    cross,
+    facet_normals,
+    reference_nodes,
+)
 from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.typing import Indices, Numbers, Vector
@@ -52,8 +57,8 @@ def _outwards(domain: Mesh, cells: Numbers, numbers: Numbers, nodes: Indices) ->
     x, cell = domain.geometry.x[:, : domain.geometry.dim], cell_type(domain)
     rows = cell_vertices(domain)[cells]
     corners = x[np.take_along_axis(rows, np.array(cell.facet_nodes(1))[numbers], axis=1)]
-    outward = corners.mean(axis=1) - x[rows].mean(axis=1)
-    inverted = np.sum(corner_normals(corners).sum(axis=1) * outward, axis=1) < 0.0
+    outward = centres(corners) - centres(x[rows])
+    inverted = np.einsum("fd,fd->f", facet_normals(corners), outward) < 0.0
     reflected = nodes[:, _reflection(cell.facet, nodes.shape[1])]
     return np.where(inverted[:, None], reflected, nodes)
 
@@ -92,7 +97,7 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     if dim == 1:
         normal = np.stack([tangents[0][..., 1], -tangents[0][..., 0]], axis=2)
     else:
-        normal = np.cross(*tangents)
+        normal = cross(*tangents)
     if weight is not None:
         normal *= (weight @ functions.T)[:, :, None]
     return np.einsum("q,qv,mqd->mvd", factors, functions, normal)

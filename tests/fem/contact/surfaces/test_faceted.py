@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, facet_normals
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 
 HALF = np.array([0.5, 0.3, 0.2])
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scenes import at, dimension
 
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
 from fenics_tfeti.fem.topology import cell_type, exterior_facets
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
@@ -51,6 +52,12 @@ def test_nodes_of_degree_2_are_between_the_corners(cell):
         np.testing.assert_allclose(x[:, v + k], (x[:, k] + x[:, (k + 1) % v]) / 2, atol=1e-14)
     if v == 4:
         np.testing.assert_allclose(x[:, 8], x[:, :4].mean(axis=1), atol=1e-14)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_corner_normals_add_up_to_that_of_the_facet(cell):
+    x, _ = surface(cell, 1)
+    np.testing.assert_allclose(facet_normals(x), corner_normals(x).sum(axis=1), atol=1e-14)
 
 
 def test_corner_normals_of_a_warped_quadrilateral_are_exact():
