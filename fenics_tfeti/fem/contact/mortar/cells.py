@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.mortar.clipping import clip_intervals, clip_polygo
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,
     Planes,
+    centres,
     highest,
     lowest,
     reference_coordinates,
@@ -30,22 +31,23 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # How far the master is looked for, relative to a slave facet's distance from the master's nodes and
 # centres: enough where the surfaces are inclined to each other by up to 60 degrees.
 REACH = 2.0
+# part of a slave facet's length or area that is rounding
+_SLIVER = 1e-12
 
 
 class MasterTree:
     """The pieces of a master's surface, to be found from the slave's."""
 
     def __init__(self, master: Facets) -> None:
-        x = master.apart(master.pieces)
         self.facets, self.planes = master, Planes.of(master.coordinates())
-        self._tree, self._low, self._high = BoxTree(x), lowest(x), highest(x)
-        nodes = master.apart(np.unique(master.pieces))
-        self._places = cKDTree(np.concatenate([nodes, x.mean(axis=1)]))
+        self._tree = BoxTree(master.apart(master.pieces))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
         """Return how far before and behind each piece (p,) the master is looked for [m]."""
+        master = self.facets
+        places = [master.apart(np.unique(master.pieces)), centres(master.apart(master.pieces))]
         nodes, inverse = np.unique(slave.pieces, return_inverse=True)
-        distance = self._places.query(slave.apart(nodes))[0]
+        distance = cKDTree(np.concatenate(places)).query(slave.apart(nodes))[0]
         farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
         return REACH * farthest + planes.diameter
 
@@ -64,6 +66,8 @@ class MasterTree:
         high[:, -1] += reach
         # the box around the facet's prism along its normal
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
+        # not those that only touch the prism, such as all facets around an edge
+        half[:, :-1] *= 1.0 - _SLIVER
         centre = planes.origin + np.einsum("fa,fad->fd", middle, planes.axes)
         extent = np.einsum("fa,fad->fd", half, np.abs(planes.axes))
         contact = slave_facets.apart(slave_facets.pieces[chosen, 0])[:, x.shape[2] :]
@@ -79,8 +83,6 @@ class MasterTree:
             return overlapping
 
         slave, master = self._tree.candidates(len(x), overlaps)
-        close = overlaps(slave, self._low.take(master, axis=0), self._high.take(master, axis=0))
-        slave, master = slave[close], master[close]
         normals = (planes.normal.take(slave, axis=0), self.planes.normal.take(master, axis=0))
         # by more than 96 degrees
         faces = np.einsum("kd,kd->k", *normals) < -0.1
@@ -106,7 +108,7 @@ class Cells:
 
     def centre(self) -> tuple[Vector, Vector]:
         """Return the centroid (p, gdim - 1) of each pair's cells, and the gap (p,) there [m]."""
-        weighted = self.corners.mean(axis=1) * self.area[:, None]
+        weighted = centres(self.corners) * self.area[:, None]
         middle: Vector = np.stack(
             [np.bincount(self.pair, column, self.slave.size) for column in weighted.T], axis=1
         )
@@ -117,6 +119,8 @@ class Cells:
 
     def select_pairs(self, kept: Mask) -> Cells:
         """Leave out pairs."""
+        if kept.all():
+            return self
         new = np.cumsum(kept) - 1
         chosen = kept[self.pair]
         return Cells(
@@ -171,8 +175,7 @@ def overlapping_cells(
         corners,
         area,
     )
-    rounding = 1e-12 * planes.area[cells.slave]
-    return cells.select_pairs(cells.pair_area() > rounding)
+    return cells.select_pairs(cells.pair_area() > _SLIVER * planes.area[cells.slave])
 
 
 def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:

@@ -63,9 +63,9 @@ class OppositeFacets:
         others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
         parts, measures = [np.zeros((0, 4), dtype=np.int64)], [np.zeros((0, 4))]
         if n:
-            areas = Planes.of(corners).area
             surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
             planes, tree = Planes.of(x), MasterTree(others.facets)
+            areas = tree.planes.area
             for block in batches(n, 2048):
                 rows = np.arange(block.start, block.stop)
                 cells = overlapping_cells(surface, planes, rows, tree, reach)

@@ -20,10 +20,11 @@ class BoxTree:
             corners = np.full((1, *corners.shape[1:]), np.inf)
         depth = max(0, int(np.ceil(np.log2(len(corners) / facets_of_leaf))))
         leaf = -(-len(corners) // 2**depth)
+        self._facets = lowest(corners), highest(corners)
         # copies of some facets, so that all boxes of a level hold equally many
         order = np.arange(2**depth * leaf)
         copied = np.resize(np.arange(len(corners)), order.size)
-        low, high = lowest(corners)[copied], highest(corners)[copied]
+        low, high = (ends[copied] for ends in self._facets)
         # axis by axis: faster than NumPy's reduction of short axes
         axes = [np.ascontiguousarray(column) for column in (0.5 * (low + high)).T]
         for level in range(depth + 1):
@@ -55,18 +56,22 @@ class BoxTree:
     def candidates(
         self, number: int, meets_box: Callable[[Numbers, Vector, Vector], Mask]
     ) -> tuple[Numbers, Numbers]:
-        """Find the facets in boxes that queries meet: pairs, each once, by ascending query.
+        """Find the facets whose boxes queries meet: pairs, each once, by ascending query.
 
         The predicate gets queries (j,) and lower and upper corners (j, gdim) of boxes; what is true
         of a box has to be true of the boxes around it.
         """
         query, box = np.arange(number, dtype=np.int64), np.zeros(number, dtype=np.int64)
-        for level, (low, high) in enumerate(zip(self._low, self._high, strict=True)):
+
+        def meeting(query: Numbers, box: Numbers, *ends: Vector) -> tuple[Numbers, Numbers]:
+            # faster than indices
+            keep = np.flatnonzero(meets_box(query, *(end.take(box, axis=0) for end in ends)))
+            return query.take(keep), box.take(keep)
+
+        for level, ends in enumerate(zip(self._low, self._high, strict=True)):
             if level > 0:
                 query, box = np.repeat(query, 2), (2 * box[:, None] + [0, 1]).ravel()
-            # faster than indices
-            keep = np.flatnonzero(meets_box(query, low.take(box, axis=0), high.take(box, axis=0)))
-            query, box = query.take(keep), box.take(keep)
+            query, box = meeting(query, box, *ends)
         query, facet = np.repeat(query, self._leaves.shape[1]), self._leaves[box].ravel()
-        original = facet >= 0
-        return query[original], facet[original]
+        original = np.flatnonzero(facet >= 0)
+        return meeting(query.take(original), facet.take(original), *self._facets)

@@ -22,18 +22,12 @@ def containing(x):
 
 
 @pytest.mark.parametrize("number", [1, 2, 3, 7, 64, 1000])
-def test_facet_around_each_point_is_found(number):
+def test_the_facet_around_each_point_is_found_and_no_other(number):
     tree = BoxTree(segments(number))
     x = np.column_stack([np.arange(number) + 0.25, np.zeros(number)])
     query, facet = tree.candidates(number, containing(x))
-    found = set(zip(query.tolist(), facet.tolist(), strict=True))
-    assert {(k, k) for k in range(number)} <= found
-
-
-def test_few_others_are_found():
-    tree = BoxTree(segments(1000))
-    x = np.column_stack([np.arange(1000) + 0.25, np.zeros(1000)])
-    assert len(tree.candidates(1000, containing(x))[0]) <= 2 * 1000
+    np.testing.assert_array_equal(query, np.arange(number))
+    np.testing.assert_array_equal(facet, np.arange(number))
 
 
 def test_size_is_that_of_the_box_around_all():
