@@ -7,7 +7,7 @@ these pieces.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import reduce
+from functools import cached_property, reduce
 
 import numpy as np
 import scipy.sparse as sp
@@ -102,17 +102,19 @@ class Cells:
     corners: Vector  # (c, gdim, gdim - 1): corners of the cells in the plane [m]
     area: Vector  # (c,) [m^2 or m]
 
+    @cached_property
     def pair_area(self) -> Vector:
-        """Return the area of the cells of each pair (p,)."""
+        """The area of the cells of each pair (p,)."""
         return np.bincount(self.pair, self.area, self.slave.size).astype(np.float64, copy=False)
 
+    @cached_property
     def centre(self) -> tuple[Vector, Vector]:
-        """Return the centroid (p, gdim - 1) of each pair's cells, and the gap (p,) there [m]."""
+        """The centroid (p, gdim - 1) of each pair's cells, and the gap (p,) there [m]."""
         weighted = centres(self.corners) * self.area[:, None]
         middle: Vector = np.stack(
             [np.bincount(self.pair, column, self.slave.size) for column in weighted.T], axis=1
         )
-        middle = middle / self.pair_area()[:, None]
+        middle = middle / self.pair_area[:, None]
         xi = reference_coordinates(self.on_master, middle[:, None])[:, 0]
         shapes = shape_functions(xi, self.on_master.shape[1])
         return middle, np.einsum("pw,pw->p", shapes, self.height)
@@ -175,7 +177,7 @@ def overlapping_cells(
         corners,
         area,
     )
-    return cells.select_pairs(cells.pair_area() > _SLIVER * planes.area[cells.slave])
+    return cells.select_pairs(cells.pair_area > _SLIVER * planes.area[cells.slave])
 
 
 def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
@@ -207,7 +209,7 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells
-    middle, gap = cells.centre()
+    middle, gap = cells.centre
     suspects = np.flatnonzero(gap < -size)
     if not suspects.size:
         return cells
@@ -232,12 +234,12 @@ def inside(x: Vector, of_points: Numbers, facets: Facets, of_facets: Numbers) ->
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
     """Keep the nearest layer, connected through nodes of the master, over each slave facet."""
-    area, limit = cells.pair_area(), (1.0 + 1e-6) * planes.area
+    area, limit = cells.pair_area, (1.0 + 1e-6) * planes.area
     several = np.bincount(cells.slave, area, len(limit)) > limit
     pairs = np.flatnonzero(several[cells.slave])
     if not pairs.size:
         return cells
-    gap = np.abs(cells.centre()[1])
+    gap = np.abs(cells.centre[1])
     kept = np.ones(cells.slave.size, dtype=bool)
     facet, area = cells.slave[pairs], area[pairs]
     corners = master.facets.pieces[cells.master[pairs]]

@@ -92,7 +92,7 @@ def _integrate_cells(
     cells: Cells, slave: Facets, planes: Planes, master: Facets, weight: Vector | None
 ) -> FacetIntegrals:
     slave_facet = cells.slave // slave.per_facet
-    covered = np.bincount(slave_facet, cells.pair_area(), len(slave))[slave_facet]
+    covered = np.bincount(slave_facet, cells.pair_area, len(slave))[slave_facet]
     whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)[slave_facet]
     rounding = 1e-11 * whole
     cells = cells.select_pairs(covered > rounding)
@@ -129,7 +129,7 @@ def _integrate_cells(
     gap -= np.matmul(trace, slave.points.take(slave.nodes[facet], axis=0) - origin)
     return FacetIntegrals(
         facet,
-        _sum(cells.pair_area(), pair, facet.size),
+        _sum(cells.pair_area, pair, facet.size),
         share,
         ones,
         mass,

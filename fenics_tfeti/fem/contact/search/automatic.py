@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.mesh import Mesh
+from dolfinx.mesh import Mesh, meshtags
 
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.checks.cells import check_cells
@@ -18,7 +19,6 @@ from fenics_tfeti.fem.contact.search.opposite import OppositeFacets
 from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
-from fenics_tfeti.fem.io.tagged_mesh import sorted_tags
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.fem.user_data import check_positive
@@ -29,7 +29,7 @@ from fenics_tfeti.parallel import (
     raise_collectively,
     send_rows,
 )
-from fenics_tfeti.typing import Mask, Numbers
+from fenics_tfeti.typing import Indices, Mask, Numbers
 
 # angle by which facets that touch face to face may be inclined before [rad]
 _INCLINED = 0.1
@@ -107,18 +107,13 @@ def find_contacts(
     if not surfaces:
         _warn_of_gaps(comm, facets, bodies)
     contacts = []
-    for number, ((slave, master, side), rows) in enumerate(surfaces.items()):
-        tags = [2 * number + 1, 2 * number + 2]
+    for number, ((slave, master, side), tagged) in enumerate(surfaces.items()):
         first, second = (bodies.names[body].split(" in ")[0] for body in (slave, master))
         contacts.append(
             ContactPair(
-                sorted_tags(
-                    mesh,
-                    mesh.topology.dim - 1,
-                    facets.number[np.concatenate(rows)],
-                    np.repeat(tags, [len(part) for part in rows]),
-                ),
-                *tags,
+                meshtags(mesh, mesh.topology.dim - 1, *tagged),
+                slave=2 * number + 1,
+                master=2 * number + 2,
                 name=f"{first} on {second}" + (f", side {side + 1}" if side else ""),
                 friction=friction,
             )
@@ -226,10 +221,11 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
 
 def _surfaces(
     comm: MPI.Intracomm, opposite: Numbers, facets: ExteriorFacets, whole_faces: bool
-) -> dict[tuple[int, int, int], tuple[Numbers, Numbers]]:
-    """Return this rank's facets of slave and master of each pair. Collective.
+) -> dict[tuple[int, int, int], tuple[Indices, Indices]]:
+    """Return this rank's facets of each pair, ascending, and their tags. Collective.
 
-    The keys, alike on all ranks, are the bodies of slave and master and the side of the slave.
+    The keys, alike on all ranks, are the bodies of slave and master and the side of the slave. The
+    tags of slaves are 1, 3, ..., those of masters 2, 4, ....
     """
     face = facets.faces(comm)
     slaves = distinct_rows(opposite[:, :3])[0]
@@ -248,8 +244,15 @@ def _surfaces(
     if whole_faces:
         masters = _extended(comm, masters, face)
     pairs = distinct_rows(concatenate_ranks(comm, distinct_rows(slaves[:, :3])[0]))[0]
-    parts = [_split(rows, pairs) for rows in (slaves, masters)]
-    return dict(zip(map(tuple, pairs.tolist()), zip(*parts, strict=True), strict=True))
+    rows = np.concatenate([slaves, masters])
+    pair = distinct_rows(np.concatenate([pairs, rows[:, :3]]))[1][len(pairs) :]
+    facet = facets.number[rows[:, 3]]
+    tag = 2 * pair + np.repeat([1, 2], [len(slaves), len(masters)])
+    order = np.lexsort((facet, pair))
+    facet, tag = (column[order].astype(np.int32) for column in (facet, tag))
+    ends = np.searchsorted(pair[order], np.arange(len(pairs) + 1)).tolist()
+    tagged = [(facet[i:j], tag[i:j]) for i, j in pairwise(ends)]
+    return dict(zip(map(tuple, pairs.tolist()), tagged, strict=True))
 
 
 def _extended(comm: MPI.Intracomm, rows: Numbers, face: Numbers) -> Numbers:
@@ -315,12 +318,3 @@ def _sent_to_owners(comm: MPI.Intracomm, rows: Numbers, owned: int) -> Numbers:
     (arrived,) = send_rows(comm, rank, rows)
     arrived[:, -1] -= firsts[comm.rank]
     return distinct_rows(arrived)[0]
-
-
-def _split(rows: Numbers, pairs: Numbers) -> list[Numbers]:
-    """Return the last column of rows, sorted by the others, for each pair (n, k)."""
-    _, inverse = distinct_rows(np.concatenate([pairs, rows[:, :-1]]))
-    number = inverse[len(pairs) :]
-    order = np.argsort(number, kind="stable")
-    cuts = np.searchsorted(number[order], np.arange(1, len(pairs)))
-    return np.split(rows[order, -1], cuts) if len(pairs) else []

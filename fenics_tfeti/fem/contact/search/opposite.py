@@ -75,8 +75,9 @@ class OppositeFacets:
                 bodies = (facets.body[cells.slave], body[cells.master])
                 parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
                 ratio = (areas[cells.master] / planes.area[cells.slave]) ** (1.0 / (gdim - 1))
-                gap, normals = np.abs(cells.centre()[1]), (planes.normal, tree.planes.normal)
-                cosine = -np.sum(normals[0][cells.slave] * normals[1][cells.master], axis=1)
+                normals = planes.normal[cells.slave], tree.planes.normal[cells.master]
+                cosine = -np.einsum("pd,pd->p", *normals)
+                gap = np.abs(cells.centre[1])
                 measures.append(np.column_stack([ratio, gap, reach[cells.slave], cosine]))
         return OppositeFacets(np.concatenate(parts), *np.concatenate(measures).T)
 
@@ -98,8 +99,8 @@ def _is_near(
 
     A facet behind one is near only if its body penetrates there.
     """
-    middle, gap = cells.centre()
-    near: Mask = cells.pair_area() > SAME_PLACE * planes.area[cells.slave]
+    middle, gap = cells.centre
+    near: Mask = cells.pair_area > SAME_PLACE * planes.area[cells.slave]
     near &= np.abs(gap) <= reach[cells.slave]
     behind = np.flatnonzero(near & (gap < -RELATIVE_ROUNDING * planes.diameter[cells.slave]))
     facet, master = cells.slave[behind], body[cells.master[behind]]

@@ -58,6 +58,8 @@ class ExteriorFacets:
         keys = np.column_stack([self.body[facet], edges])
         normal = unit(facet_normals(self.corners))[facet]
         part = _components(_smooth_pairs(keys, normal, facet), self.number.size)
+        if comm.size == 1:
+            return part
         # parts of faces on this rank, numbered over all ranks, then joined through their edges
         first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
         directory = Directory(comm, np.unique(edges[:, 0]))

@@ -32,7 +32,7 @@ def test_whole_surface_is_covered_once(corners, of_master):
     slave = grid((4, 3), corners=corners, jitter=0.5)
     master = grid((5, 7), (-1, -1), (2, 2), up=False, corners=of_master, jitter=0.5, seed=1)
     cells = cells_of(slave, master)
-    covered = np.bincount(cells.slave, cells.pair_area(), len(slave))
+    covered = np.bincount(cells.slave, cells.pair_area, len(slave))
     assert np.allclose(covered, Planes.of(slave.coordinates()).area, rtol=1e-12)
 
 
@@ -77,7 +77,7 @@ def test_deep_overlap_counts_inside_the_master():
 def test_centre_and_gap_of_pairs():
     slave = chain([0.0, 1.0])
     cells = cells_of(slave, chain([0.0, 0.5, 1.0], lambda x: 0.1 + x, up=False))
-    middle, gap = cells.centre()
+    middle, gap = cells.centre
     order = np.argsort(gap)
     assert np.allclose(gap[order], [0.35, 0.85])
     # along the segment, from its middle, towards falling x
