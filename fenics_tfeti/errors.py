@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from math import floor, isfinite, log10
 from pathlib import Path
@@ -105,6 +105,18 @@ def warn_user(message: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, stacklevel=level)
+
+
+def first_few(texts: Sequence[str], few: int, what: str) -> list[str]:
+    """Return some texts, and in place of those after the first few how many others there are.
+
+    Examples
+    --------
+    >>> ", ".join(first_few(["red", "green", "blue", "white"], 2, "colours"))
+    'red, green, and 2 other colours'
+    """
+    others = len(texts) - few
+    return [*texts[:few], f"and {others} other {what}"] if others > 0 else list(texts)
 
 
 def format_point(point: Iterable[float], size: float = 0.0) -> str:

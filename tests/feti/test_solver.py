@@ -77,6 +77,17 @@ def test_motion_without_load_is_reported_and_left_small():
     np.testing.assert_allclose([c.normal_force for c in report.contacts], 1.0, rtol=1e-7)
 
 
+def test_of_many_free_motions_the_text_has_six_and_the_number_of_others():
+    report = TornSolver(column()).solve().report
+    many = dataclasses.replace(report, free_motions=[f"body {k}: slides" for k in range(20)])
+    lines = [line for line in str(many).splitlines() if "free motion  " in line]
+    assert len(lines) == 7
+    assert lines[5:] == [
+        "     free motion  body 5: slides",
+        "     free motion  and 14 other free motions",
+    ]
+
+
 def test_limit():
     with pytest.raises(NotConverged, match="max_products") as caught:
         TornSolver(column(), Options(max_products=2)).solve()

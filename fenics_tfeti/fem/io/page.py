@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.offline import get_plotlyjs
 
+from fenics_tfeti.errors import first_few
 from fenics_tfeti.fem.io.scene import Scene
 from fenics_tfeti.fem.io.units import Units, units_of
 
@@ -71,7 +72,10 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
         ("products with F", products["total"]),
         ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
         ("potential energy", f"{_number(report['energy'])} {units.energy}"),
-        *(("free motion", motion) for motion in report["free_motions"]),
+        *(
+            ("free motion", motion)
+            for motion in first_few(report["free_motions"], 6, "free motions")
+        ),
         *(("weak motion", motion) for motion in report["weak_motions"]),
     ]
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'

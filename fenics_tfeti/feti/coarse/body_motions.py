@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from mpi4py import MPI
 
@@ -11,13 +12,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
+from fenics_tfeti.errors import first_few
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.local.frames import in_frame, out_of_frame
 from fenics_tfeti.feti.local.rigid_body_modes import describe_motion, raw_modes
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FEW, MANY, NEGLIGIBLE, rounding
 from fenics_tfeti.parallel import count_over_ranks, largest_of_ranks
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -148,68 +150,57 @@ def centres_and_sizes(system: TornSystem) -> tuple[Vector, Vector, Vector]:
 def describe_body_motions(
     system: TornSystem,
     kernels: Sequence[Vector],
-    own_motions: Sequence[Vector],
+    own_motions: sp.csr_matrix,
     either_way: bool = False,
     negligible: float = NEGLIGIBLE,
-) -> list[list[str]]:
+) -> list[str]:
     """Name the bodies that take part in each of some motions, and how each of them moves.
 
-    Returns "body: motion" for each body, on all ranks; collective if there are motions. A motion is
-    R xi, of which each rank gives its part of xi. With either_way the opposite motion is meant as
-    well; parts up to negligible, relative to the motion, are left out.
+    Returns "body: motion; body: motion" for each motion, on all ranks; collective if there are
+    motions. A motion is R xi, of which each rank gives its part of xi as a row (k, own). With
+    either_way the opposite motion is meant as well; parts up to negligible, relative to the motion,
+    are left out.
     """
-    if not own_motions:
+    if not own_motions.shape[0]:
         return []
-    places = centres_and_sizes(system)
-    own_parts = [
-        _own_parts(system, kernels, motion, either_way, negligible, places)
-        for motion in own_motions
-    ]
-    of_ranks = system.comm.allgather(own_parts)
-    return [_joined(system, parts, negligible) for parts in zip(*of_ranks, strict=True)]
-
-
-def _own_parts(
-    system: TornSystem,
-    kernels: Sequence[Vector],
-    own_motion: Vector,
-    either_way: bool,
-    negligible: float,
-    places: tuple[Vector, Vector, Vector],
-) -> dict[int, tuple[float, str]]:
-    """Return how far, and in words how, each body moves on this rank.
-
-    The places are those of `centres_and_sizes`.
-    """
-    centres, sizes, _ = places
+    centres, sizes, _ = centres_and_sizes(system)
     ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
-    parts: dict[int, tuple[float, str]] = {}
-    moving = np.searchsorted(ends, np.flatnonzero(own_motion), side="right") - 1
-    for i in np.unique(moving):
-        subdomain, R = system.subdomains[i], kernels[i]
-        turned = R[: subdomain.size] @ own_motion[ends[i] : ends[i + 1]]
-        displacement = out_of_frame(turned, subdomain.frame)
-        size = float(np.abs(displacement).max(initial=0.0))
-        if size > parts.get(subdomain.body, (0.0, ""))[0]:
-            about = centres[subdomain.body], sizes[subdomain.body]
-            words = describe_motion(
-                subdomain.coordinates, displacement, either_way, negligible, about
-            )
-            parts[subdomain.body] = size, words
-    return parts
+
+    def own_parts(own: Numbers, values: Vector) -> dict[int, tuple[float, str]]:
+        """Return how far, and in words how, each body moves on this rank."""
+        parts: dict[int, tuple[float, str]] = {}
+        moving = np.searchsorted(ends, own, side="right") - 1
+        for i in np.unique(moving):
+            subdomain, chosen = system.subdomains[i], moving == i
+            turned = kernels[i][: subdomain.size, own[chosen] - ends[i]] @ values[chosen]
+            displacement = out_of_frame(turned, subdomain.frame)
+            size = float(np.abs(displacement).max(initial=0.0))
+            if size > parts.get(subdomain.body, (0.0, ""))[0]:
+                about = centres[subdomain.body], sizes[subdomain.body]
+                words = describe_motion(
+                    subdomain.coordinates, displacement, either_way, negligible, about
+                )
+                parts[subdomain.body] = size, words
+        return parts
+
+    rows = pairwise(own_motions.indptr.tolist())
+    parts = [own_parts(own_motions.indices[i:j], own_motions.data[i:j]) for i, j in rows]
+    of_ranks = system.comm.allgather(parts)
+    return [_joined(system, parts, negligible) for parts in zip(*of_ranks, strict=True)]
 
 
 def _joined(
     system: TornSystem, parts: Sequence[dict[int, tuple[float, str]]], negligible: float
-) -> list[str]:
-    """Return the motion of each body in the words of the rank on which it moves farthest."""
+) -> str:
+    """Join the motions of bodies, each in the words of the rank on which it moves farthest."""
     merged: dict[int, tuple[float, str]] = {}
     for part in parts:
         for body, value in part.items():
             merged[body] = max(value, merged.get(body, (0.0, "")))
     largest = max((size for size, _ in merged.values()), default=0.0)
-    return [
+    described = [
         f"{system.body_name(body)}: {words}"
         for body, (size, words) in sorted(merged.items())
         if size > negligible * largest
     ]
+    return "; ".join(first_few(described, 3, "bodies"))

@@ -84,17 +84,16 @@ def raise_unresisted(
 
     `friction`, what limits it, times `factor` would balance the load.
     """
-    own_motion = coarse_space.own_part(coarse_space.coarse_motions(z))
-    (motions,) = describe_body_motions(system, coarse_space.kernels, [own_motion])
+    own_motion = sp.csr_matrix(coarse_space.own_part(coarse_space.coarse_motions(z)))
+    (motions,) = describe_body_motions(system, coarse_space.kernels, own_motion)
     if np.isfinite(factor):
         raise UnresistedMotion(
-            "friction cannot hold the load, which slides " + "; ".join(motions) + ". It would take "
-            f"{factor:.4g} times the {friction}. Raise them, prescribe displacements that hold "
-            "the body, or reduce the load"
+            f"friction cannot hold the load, which slides {motions}. It would take {factor:.4g} "
+            f"times the {friction}. Raise them, prescribe displacements that hold the body, or "
+            "reduce the load"
         )
     raise UnresistedMotion(
         "the load does work on a rigid motion that no support and no contact resists (11.16): "
-        + "; ".join(motions)
-        + ". Prescribe displacements that hold the body, add the contact it should rest on, or "
-        "balance the load"
+        f"{motions}. Prescribe displacements that hold the body, add the contact it should rest "
+        "on, or balance the load"
     )

@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 import scipy.sparse as sp
 
-from fenics_tfeti.errors import format_point
+from fenics_tfeti.errors import first_few, format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.factors.cholesky import describe_package
@@ -199,7 +199,8 @@ class Report:
             ("force on slave", f"{format_point(c.force)}{unit} of {c.name!r}")
             for c in self.contacts
         ]
-        rows += [("free motion", motion) for motion in self.free_motions]
+        free = first_few(self.free_motions, 6, "free motions")
+        rows += [("free motion", motion) for motion in free]
         rows += [("weak motion", motion) for motion in self.weak_motions]
         return "\n".join(f"{name:>16}  {value}" for name, value in rows)
 
@@ -285,7 +286,7 @@ def build_report(
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
         **vars(sums),
-        free_motions=_described(system, setup, candidate.face.free.T.tocsr()),
+        free_motions=_described(system, setup, candidate.face.free),
         weak_motions=_weak_motions(system, setup, candidate),
         certificate=candidate.certificate,
         dual_tolerance=outcome.tolerance,
@@ -334,11 +335,9 @@ def _described(
     motions: sp.csr_matrix,
     negligible: float = NEGLIGIBLE,
 ) -> list[str]:
-    """Name the bodies that take part in each of some motions (k, coarse). Collective."""
-    own_part = setup.projector.coarse_space.own_part
-    local = [own_part(motion.toarray().ravel()) for motion in motions]
-    described = describe_body_motions(system, setup.local.kernels, local, True, negligible)
-    return ["; ".join(bodies) for bodies in described]
+    """Name the bodies that take part in each of some motions (coarse, k). Collective."""
+    own = sp.csr_matrix(setup.projector.coarse_space.own_part(motions).T)
+    return describe_body_motions(system, setup.local.kernels, own, True, negligible)
 
 
 def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:
@@ -357,7 +356,7 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
         # what is not the contacts' is that of supports or friction
         if not resistance.any():
             continue
-        coarse_motion = sp.csr_matrix(coarse_space.coarse_motions(motion))
+        coarse_motion = sp.csr_matrix(coarse_space.coarse_motions(motion)[:, None])
         (words,) = _described(system, setup, coarse_motion, FACETED)
         names = [
             f"{system.contact_name(int(i))!r} by {resistance[i]:.0e}"

@@ -75,8 +75,10 @@ def test_motion_is_named_by_body(moving, names, either_way):
     parts = SOLVER.system.subdomains
     up = np.concatenate([np.tile([0.0, 0.0, moving[s.body]], s.nodes.size) for s in parts])
     motion = SYSTEM.R.T @ up
-    (found,) = describe_body_motions(SOLVER.system, KERNELS, [motion], either_way=either_way)
-    assert found == names
+    (found,) = describe_body_motions(
+        SOLVER.system, KERNELS, sp.csr_matrix(motion), either_way=either_way
+    )
+    assert found == "; ".join(names)
 
 
 def test_a_rotation_is_named_by_the_axis_next_to_the_whole_body():
@@ -90,5 +92,16 @@ def test_a_rotation_is_named_by_the_axis_next_to_the_whole_body():
             for s in SOLVER.system.subdomains
         ]
     )
-    ((words,),) = describe_body_motions(SOLVER.system, KERNELS, [SYSTEM.R.T @ turned])
+    (words,) = describe_body_motions(SOLVER.system, KERNELS, sp.csr_matrix(SYSTEM.R.T @ turned))
     assert words.startswith("lower: rotation about the axis (0, 1, 0) through (")
+
+
+def test_of_a_motion_of_many_bodies_three_are_named_and_the_others_counted():
+    cubes = [dataclasses.replace(cube(2), body=body) for body in range(30)]
+    system = dataclasses.replace(
+        column(), subdomains=cubes, contacts=ContactRows.none(3), prescribed=Prescribed()
+    )
+    up = [np.tile([0.0, 0.0, 1.0], s.nodes.size)[:, None] for s in cubes]
+    (words,) = describe_body_motions(system, up, sp.csr_matrix(np.ones((1, 30))))
+    assert words.count("translation along (0, 0, 1)") == 3
+    assert words.endswith("; and 27 other bodies")
