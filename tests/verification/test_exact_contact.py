@@ -126,6 +126,18 @@ def test_bodies_that_slide(slide):
     assert problem.report.passes[-1].error <= 1e-4
 
 
+def test_sliding_on_a_plane_moves_the_force_along():
+    """The gaps hardly change, but the force on the master acts at another place."""
+    slid = two_blocks(0.3, OPTIONS, upper=9, height=0.0, geometry=Exact())
+    there = two_blocks(0.3, OPTIONS, upper=9, height=0.0, start=0.3)
+    slid.solve()
+    there.solve()
+    found, expected = (problem.report.contacts[0] for problem in (slid, there))
+    force = expected.force_on_master
+    np.testing.assert_allclose(found.force_on_master, force, atol=5e-3 * abs(force[1]))
+    np.testing.assert_allclose(found.moment_on_master, expected.moment_on_master, rtol=5e-3)
+
+
 # distances are of second order in what the last pass changed along the surface
 SAME = np.sqrt(2.0 * GEOMETRY.tolerance * 0.3)
 
