@@ -37,7 +37,11 @@ def factored(monkeypatch):
     return begun
 
 
-# the page has the messages of one rank
+def on_any_ranks(text):
+    """Leave out what may differ with the ranks: numbers, and which is the first."""
+    return re.sub(r" of rank \d+|the first |[\d.]+(e[-+]?\d+)?", "", text)
+
+
 @pytest.mark.ranks(2)
 @pytest.mark.parametrize("mistake", MISTAKES, ids=lambda mistake: mistake.name)
 def test_mistake(mistake, factored):
@@ -47,8 +51,7 @@ def test_mistake(mistake, factored):
     # Only the factorisation itself can find that a matrix is not positive semidefinite.
     assert not factored or mistake.error is fenics_tfeti.FactorizationError
     message = str(raised.value)
-    for words in mistake.words:
-        assert re.search(words, message), f"{words!r} is not in: {message}"
+    assert f": `{on_any_ranks(message)}`\n" in on_any_ranks(PAGE.read_text())
     assert 20 <= len(message) <= 900
     assert "\n\n" not in message
     assert "Traceback" not in message

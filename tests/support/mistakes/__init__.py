@@ -1,4 +1,4 @@
-"""Mistakes that a user may make, by subject, and what the error has to say about each."""
+"""Mistakes that a user may make, by subject."""
 
 from __future__ import annotations
 

@@ -15,20 +15,19 @@ Pose = Callable[[MPI.Comm], object]
 
 
 class Mistake(NamedTuple):
-    """A problem with one mistake, and what the error has to say about it."""
+    """A problem with one mistake; the page of errors has what the error says about it."""
 
     subject: str  # heading of the page of errors
     name: str
     pose: Pose  # sets up and solves the problem
-    words: tuple[str, ...]  # regular expressions that the message contains
     error: type[Exception]  # exactly this one
 
 
 def table(
-    subject: str, *rows: tuple[Any, ...], error: type[Exception] = InputError
+    subject: str, *rows: tuple[str, Pose], error: type[Exception] = InputError
 ) -> list[Mistake]:
-    """Return the mistakes of rows (name, pose, words ...)."""
-    return [Mistake(subject, name, pose, tuple(words), error) for name, pose, *words in rows]
+    """Return the mistakes of rows (name, pose)."""
+    return [Mistake(subject, name, pose, error) for name, pose in rows]
 
 
 _MESHES: dict[int, scenes.Scene] = {}

@@ -20,28 +20,28 @@ TITLE = "Supports"
 MISTAKES = [
     *table(
         TITLE,
-        ("two values for one displacement",
-         solved(bcs=lambda s: [*s.bcs, fixed(s.V, s.facet_tags, CLAMPED, 1, 1e-3)]),
-         "(?i)contradictory", r"component 1 at \(0, 0\)", "0.001", "condition 2"),
+        (
+            "two values for one displacement",
+            solved(bcs=lambda s: [*s.bcs, fixed(s.V, s.facet_tags, CLAMPED, 1, 1e-3)]),
+        ),
     ),
     *table(
         TITLE,
-        ("pulled away from the contact",
-         solved(L=lambda s: s.constant(TRACTION) * s.v[1] * s.ds(LOADED)),
-         "body 1", "cell tag 2", r"translation along \(0, 1\)"),
-        ("pushed along the contact",
-         solved(L=lambda s: s.L + s.traction * s.v[0] * s.ds(LOADED), bcs=lambda s: s.bcs[:1]),
-         "body 1", "cell tag 2", r"translation along \(-1, 0\)"),
-        ("tips over the edge of its support", solved(L=beyond, bcs=lambda s: s.bcs[:1]),
-         "body 1", "cell tag 2", r"rotation through \(2, "),
-        ("nothing is fixed", solved(bcs=[]), "body 0", "cell tag 1", "body 1", "cell tag 2"),
+        (
+            "pulled away from the contact",
+            solved(L=lambda s: s.constant(TRACTION) * s.v[1] * s.ds(LOADED)),
+        ),
+        (
+            "pushed along the contact",
+            solved(L=lambda s: s.L + s.traction * s.v[0] * s.ds(LOADED), bcs=lambda s: s.bcs[:1]),
+        ),
+        ("tips over the edge of its support", solved(L=beyond, bcs=lambda s: s.bcs[:1])),
+        ("nothing is fixed", solved(bcs=[])),
         error=UnresistedMotion,
     ),
     *table(
         TITLE,
-        ("condition that is a number", posed(bcs=[0.0]),
-         "Dirichlet condition 0", "float", "dirichletbc"),
-        ("conditions that are a number", posed(bcs=0.0),
-         "bcs is a float", "list of Dirichlet conditions"),
+        ("condition that is a number", posed(bcs=[0.0])),
+        ("conditions that are a number", posed(bcs=0.0)),
     ),
-]  # fmt: skip
+]
