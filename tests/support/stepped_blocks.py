@@ -80,11 +80,6 @@ def moved_top(scene):
     return EVERYTHING
 
 
-def softer(scene):
-    scene.young.value *= 0.5
-    return ["multipliers"]
-
-
 def softer_and_larger_load(scene):
     scene.young.value *= 0.5
     scene.traction.value *= 1.1
@@ -136,7 +131,6 @@ CHANGES = [
     larger_load,
     other_side_unloaded,
     moved_top,
-    softer,
     softer_and_larger_load,
     lifted_floor,
     tilted_floor,

@@ -109,15 +109,6 @@ def test_tubes_by_lame(weight, outer_is_slave):
     np.testing.assert_allclose(pressure, pressure_between_tubes(), rtol=1e-3)
 
 
-@pytest.mark.parametrize(("cell", "ratio"), [("triangle", 0.5), ("quadrilateral", 0.25)])
-def test_pressure_between_tubes_converges(cell, ratio):
-    """With the order 1 of the stress; on rectangles, which lie symmetrically, with the order 2."""
-    exact = pressure_between_tubes()
-    solved = (tubes(cell, n).results[0].pressure for n in (8, 16))
-    coarse, fine = (np.abs(pressure - exact).max() for pressure in solved)
-    assert fine <= 1.1 * ratio * coarse
-
-
 def test_hoop_stress_carries_the_radial_load():
     """By the equilibrium of half a tube; the report has it among the springs."""
     report = tubes("quadrilateral", 4).report

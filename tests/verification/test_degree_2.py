@@ -7,7 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
-from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem, uneven_scene
+from mortar_blocks import LOWER, UPPER, Blocks, uneven, uneven_problem
 from pairwise import pairwise
 from scenes import CELLS, POISSON, Scene, at, dimension, normal_forces
 
@@ -156,18 +156,3 @@ def test_start_from_a_coarse_problem_of_degree_1(cell):
     np.testing.assert_allclose(normal_forces(problem), normal_forces(expected), rtol=1e-8)
     if cell == "triangle":
         assert problem.report.products["total"] < expected.report.products["total"]
-
-
-def test_load_steps():
-    scene = uneven_scene(Blocks("triangle", 6, 8, degree=2))
-    problem, load = scene.problem(options={"rtol": 1e-10, "subdomain_size": 150}), scene.traction
-    expected, whole = uneven(Blocks("triangle", 6, 8, degree=2)), load.value.copy()
-    for part in (0.3, 0.7, 1.0):
-        load.value = part * whole
-        uh = problem.solve()
-    np.testing.assert_allclose(normal_forces(problem), normal_forces(expected), rtol=1e-8)
-    pressure = expected.results[0].pressure
-    np.testing.assert_allclose(
-        problem.results[0].pressure, pressure, rtol=0.0, atol=1e-6 * pressure.max()
-    )
-    assert np.isfinite(uh.x.array).all()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gc
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -25,7 +24,7 @@ from fenics_tfeti import (
     find_contacts,
 )
 from fenics_tfeti.io import boxes, displacement_space, read_msh
-from fenics_tfeti.models import isotropic, symmetry_plane
+from fenics_tfeti.models import isotropic
 
 ROOT = Path(__file__).parents[2]
 COMM = MPI.COMM_SELF
@@ -39,49 +38,6 @@ def forms(mesh, load, modulus=2.1e11):
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     a = ufl.inner(isotropic(modulus, 0.3)(u), ufl.grad(v)) * ufl.dx
     return V, a, ufl.inner(fem.Constant(mesh, np.array(load, dtype=float)), v) * ufl.dx
-
-
-def test_bolt_in_lug():
-    """With the clearance of the demo, which the mesh has not."""
-    parts = read_msh(ROOT / "meshes" / "bolt_in_lug.msh", COMM)
-    facets, tags = parts.facet_tags, parts.names
-    V, a, L = forms(parts.mesh, (1e9, 0, 0))
-    clamped = fem.locate_dofs_topological(V, 2, facets.find(tags["clamped"]))
-    bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
-    bcs += [
-        symmetry_plane(V, facets, tags[f"symmetry_{axis}"], k) for k, axis in ((1, "y"), (2, "z"))
-    ]
-    named = ContactPair(facets, tags["lug surface"], tags["bolt surface"])
-    (found,) = find_contacts(parts.mesh, parts.cell_tags)
-    solutions = []
-    for pair in (named, found):
-        pair = replace(pair, initial_gap=lambda x: 2e-5 * (1 + x[0] / 0.01))
-        problem = ContactProblem(a, L, bcs=bcs, contacts=pair, options={"rtol": 1e-8})
-        solutions.append(problem.solve().x.array.copy())
-    assert np.abs(solutions[1] - solutions[0]).max() < 1e-6 * np.abs(solutions[0]).max()
-
-
-@pytest.mark.parametrize("gdim", [2, pytest.param(3, marks=pytest.mark.heavy)])
-def test_pile_of_cylinders(gdim):
-    """More of the discs is found than has tags, but no more of it touches."""
-    name = "pile_of_cylinders" if gdim == 2 else "pile_of_cylinders_3d"
-    parts = read_msh(ROOT / "meshes" / f"{name}.msh", COMM, gdim=gdim)
-    facets, tags, up = parts.facet_tags, parts.names, np.eye(gdim)[1]
-    _, a, L = forms(parts.mesh, -9810.0 * up, 0.5e9)
-    obstacles, named = [], []
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        wall = Plane(-0.55 * sign * np.eye(gdim)[0], sign * np.eye(gdim)[0])
-        obstacles += [
-            RigidObstacle(facets, tags[f"{side} floor"], Plane(np.zeros(gdim), up)),
-            RigidObstacle(facets, tags[f"{side} wall"], wall),
-        ]
-        named.append(ContactPair(facets, tags[f"{side} top"], tags[f"top {side}"]))
-    forces = []
-    for pairs in (named, find_contacts(parts.mesh, parts.cell_tags)):
-        problem = ContactProblem(a, L, contacts=[*pairs, *obstacles], options={"rtol": 1e-8})
-        problem.solve()
-        forces.append([contact.force for contact in problem.report.contacts])
-    assert np.abs(np.subtract(*forces)).max() < 1e-6 * np.abs(forces[0]).max()
 
 
 @pytest.mark.heavy

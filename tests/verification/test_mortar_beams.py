@@ -34,7 +34,7 @@ def report(lower, upper, ratio, exchanged=False):
 
 
 @pytest.mark.filterwarnings("ignore:contact 0")
-@pytest.mark.parametrize("ratio", [1.0, 100.0, 0.01])
+@pytest.mark.parametrize("ratio", [1.0, 100.0])
 def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(ratio):
     matching = {n: report(n, n, ratio) for n in (10, 14, 30)}
     equal = matching[10]

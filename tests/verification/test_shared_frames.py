@@ -6,7 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CELLS, Scene, at, dimension, elasticity, nothing_but_labels, scalar_space
+from scenes import Scene, at, dimension, elasticity, nothing_but_labels, scalar_space
 
 import ufl
 from dolfinx import fem
@@ -88,8 +88,6 @@ CLASSES = {
     ("cell", "change", "expected"),
     [
         *(("triangle", change, expected) for change, expected in CLASSES.items()),
-        *((cell, isotropic, 1) for cell in CELLS[1:]),
-        ("quadrilateral", softer_in_one_cell, 2),
         ("tetrahedron", supported_radially, 1),
         ("hexahedron", fibres_in_one_cell_of_each, SECTORS),
     ],
