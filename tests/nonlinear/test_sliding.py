@@ -96,7 +96,6 @@ def test_counts_of_the_ring():
     assert steps <= 10 and steps * products <= 200
 
 
-@pytest.mark.ranks
 def test_edge_of_a_master_that_passes_nodes_of_the_slave():
     """A block dragged over a larger one: the roles of the surfaces hardly matter."""
     forces = []

@@ -122,7 +122,7 @@ def test_restored_steps_go_on(tmp_path):
 
 def test_slip_is_counted_anew():
     """The drag of a second run is that of the first."""
-    scene, forces = ironing(Coulomb(0.3), n=6, depth=0.1, newton_rtol=1e-7), []
+    scene, forces = ironing(Coulomb(0.3), n=3, depth=0.1, newton_rtol=1e-7), []
     for _ in range(2):
         scene.problem.u.x.array[:] = 0.0
         scene.problem.reset_slip()
