@@ -167,19 +167,6 @@ def test_contact_removed():
     assert_same(problem, uh, other, other.solve())
 
 
-def test_wrong_contact_added():
-    """The error leaves the problem as it was."""
-    scene = two_blocks_on_a_floor()
-    problem = new_problem(scene)
-    before = problem.solve().x.array.copy()
-    wrong = RigidObstacle(scene.facet_tags, 99, Plane((0, 0), (0, 1)), name="wrong")
-    problem.contacts.append(wrong)
-    with pytest.raises(InputError, match="wrong"):
-        problem.solve()
-    problem.contacts.pop()
-    np.testing.assert_allclose(problem.solve().x.array, before, atol=1e-7 * np.abs(before).max())
-
-
 def test_load_taken_away():
     """Nothing pushes: nothing moves, up to the last digit."""
     scene = two_blocks_on_a_floor()

@@ -134,12 +134,6 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
         matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
 
-def test_nodes_are_errors_where_the_contact_is_not_partial():
-    _, tags, V = slab_on_two(MPI.COMM_SELF)
-    with pytest.raises(InputError, match=r"8 of 13 slave nodes .*partial=True"):
-        matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
-
-
 def test_known_obstacle_is_evaluated_again():
     V, tags = strips(gap=0.1)
     height = [0.5]

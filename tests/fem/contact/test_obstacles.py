@@ -133,12 +133,6 @@ def test_infinite_gap_means_no_obstacle():
     assert (summary["smallest_gap"], summary["largest_gap"]) == (0.0, 0.0)
 
 
-@pytest.mark.parametrize("gap", [np.nan, -np.inf])
-def test_gap_that_is_no_number(gap):
-    with pytest.raises(InputError, match=r"NaN or -inf.*at 1 points.*\(1, 0\).*\+inf"):
-        matched(punch(gap))
-
-
 def test_pairing_of_an_obstacle():
     assert matched(Plane((0, -0.5), (0, 1))).summary == {
         "contact": "contact 0 (obstacle)",

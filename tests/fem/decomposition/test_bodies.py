@@ -80,13 +80,6 @@ def test_names_of_tags_are_those_of_bodies():
     assert [name.split(" in ")[0] for name in names] == ["body 0 (pin)", "body 1 (cell tag 2)"]
 
 
-def test_cells_without_tag_are_refused():
-    domain = two_boxes("triangle").mesh
-    some = meshtags(domain, 2, np.arange(3, dtype=np.int32), np.ones(3, dtype=np.int32))
-    with pytest.raises(InputError, match="13 of 16 cells of rank 0 without a tag"):
-        find_bodies(domain, some)
-
-
 def test_facet_tags_are_refused():
     domain = two_boxes("triangle").mesh
     facets = meshtags(domain, 1, np.arange(3, dtype=np.int32), np.ones(3, dtype=np.int32))

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti import InputError
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
@@ -95,12 +94,6 @@ def test_label_of_separate_cells_gives_several_subdomains():
     middle = np.argmax(np.diff(graph.indptr) == 2)  # a cell with two neighbours
     label[middle] = 1
     assert len(as_subdomains(mesh, find_bodies(mesh, None), label)) == 3
-
-
-def test_wrong_number_of_labels_is_refused():
-    mesh = cube(2)
-    with pytest.raises(InputError, match=r"shape \(3,\), but rank 0 owns 8 cells"):
-        as_subdomains(mesh, find_bodies(mesh, None), [0, 1, 2])
 
 
 def test_bodies_that_are_images_are_cut_equally():

@@ -179,13 +179,6 @@ def test_shared_nodes_are_named_with_place_and_remedy(kind):
         ContactProblem(a, L, bcs=bcs, contacts=pairs, cell_tags=parts.cell_tags).solve()
 
 
-@pytest.mark.parametrize("kind", [ContactPair, TiedPair])
-def test_one_tag_for_both_surfaces_is_an_error_with_the_remedy(kind):
-    whole = block("triangle", halves, tagged=middle)
-    with pytest.raises(InputError, match="joint: slave and master have the same tag 9; each"):
-        kind(whole.facet_tags, 9, 9, name="joint")
-
-
 # -- meshes of Gmsh ----------------------------------------------------------------------------
 
 

@@ -14,8 +14,7 @@ from glued_reference import assert_solves
 from pairwise import pairwise
 from torn import column
 
-from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem, parse_options
+from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.deflation.space import Deflation, at_most
@@ -282,8 +281,3 @@ def test_any_directions_may_be_deflated(method):
     assert found.report.deflation["vectors"] == 20
     assert found.report.energy == pytest.approx(expected.report.energy, rel=1e-9)
     np.testing.assert_allclose(found.normal_force, expected.normal_force, rtol=0.0, atol=1e-6)
-
-
-def test_unknown_kind_is_an_error():
-    with pytest.raises(InputError, match="'auto', 'on', 'off'"):
-        parse_options({"deflation": "yes"})
