@@ -226,8 +226,7 @@ def test_qp_needs_neither_mpi_nor_petsc():
 
 
 @pytest.mark.parametrize(
-    "first",
-    ["from fenics_tfeti import ContactProblem", "import fenics_tfeti.io"],
+    "first", ["from fenics_tfeti import ContactProblem", "import fenics_tfeti.io"]
 )
 def test_package_may_be_the_first_import(first):
     """Of the wheels, mpi4py has to be imported before petsc4py and dolfinx."""

@@ -25,14 +25,7 @@ Vector = NDArray[np.float64]
 
 # classes of outcomes
 FINE = ("right", "right error", "limit of rounding", "skipped", "no contraction")
-FAILURES = (
-    "wrong",
-    "no convergence",
-    "false error",
-    "traceback",
-    "hang",
-    "ranks differ",
-)
+FAILURES = ("wrong", "no convergence", "false error", "traceback", "hang", "ranks differ")
 CLASSES = FINE + FAILURES
 
 # the error in the energy norm that counts as right, relative to rtol
@@ -345,10 +338,6 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
 
 def agree(comm: MPI.Comm, found: Found) -> str:
     """Return how the ranks differ; empty if they do not."""
-    mine = (
-        type(found.error).__name__ if found.error else "",
-        found.contact_force,
-        found.products,
-    )
+    mine = (type(found.error).__name__ if found.error else "", found.contact_force, found.products)
     every = comm.allgather(mine)
     return "" if all(one == every[0] for one in every) else f"by rank: {every}"

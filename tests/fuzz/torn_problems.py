@@ -741,12 +741,7 @@ def _row_matrix(draw: _Draw, rows: _Rows) -> sp.csr_matrix:
 
 
 def _in_units(
-    draw: _Draw,
-    rows: _Rows,
-    supports: _Supports,
-    C: sp.csr_matrix,
-    gap: Vector,
-    f: Vector,
+    draw: _Draw, rows: _Rows, supports: _Supports, C: sp.csr_matrix, gap: Vector, f: Vector
 ) -> TornProblem:
     """Choose units of stiffness and length, and write everything down in them."""
     rng, gdim, n = draw.rng, draw.gdim, draw.n

@@ -59,14 +59,7 @@ CELLS = {
 )
 def test_cells_degrees_and_roles(cell, degree, upper):
     scene, force = pressed_patch(
-        0.1,
-        False,
-        30.0,
-        cell=cell,
-        degree=degree,
-        upper=upper,
-        newton_rtol=1e-9,
-        subdomain_size=60,
+        0.1, False, 30.0, cell=cell, degree=degree, upper=upper, newton_rtol=1e-9, subdomain_size=60
     )
     scene.solve([1.0])
     sign = -1.0 if upper == "master" else 1.0

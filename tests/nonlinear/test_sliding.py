@@ -157,11 +157,7 @@ def test_force_of_a_ring_of_round_section_is_that_of_its_half():
 
 def crown_between_plates(is_held, friction):
     """Return the force of a lid on a body with a crown, and the Newton steps."""
-    parts = [
-        ((-1, 0), (1, 1), (8, 4)),
-        ((-2, -0.5), (2, 0), (10, 1)),
-        ((-2, 1.5), (2, 2), (10, 1)),
-    ]
+    parts = [((-1, 0), (1, 1), (8, 4)), ((-2, -0.5), (2, 0), (10, 1)), ((-2, 1.5), (2, 2), (10, 1))]
     marks = [(1, at(1, 0), 1), (2, at(1, 1), 1), (3, at(1, 0), 2), (4, at(1, 1.5), 3)]
     marks += [(5, at(1, -0.5), 2), (6, at(1, 2), 3)]
 

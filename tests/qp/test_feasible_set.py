@@ -128,9 +128,7 @@ def test_split_of_the_gradient_on_discs():
 
 
 @hypothesis.given(
-    seed=st.integers(0, 10**6),
-    step_length=st.sampled_from([1e-3, 1.0]),
-    discs=st.booleans(),
+    seed=st.integers(0, 10**6), step_length=st.sampled_from([1e-3, 1.0]), discs=st.booleans()
 )
 def test_reduced_gradient_is_the_projected_step(seed, step_length, discs):
     rng = np.random.default_rng(seed)

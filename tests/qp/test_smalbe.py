@@ -216,8 +216,7 @@ ERRORS = {1e-5: 2e-2, 1e-8: 2e-5, 1e-12: 1e-7}
 
 
 @pytest.mark.parametrize(
-    ("rtol", "project", "expansion"),
-    pairwise(ERRORS, [False, True], ["standard", "projected_cg"]),
+    ("rtol", "project", "expansion"), pairwise(ERRORS, [False, True], ["standard", "projected_cg"])
 )
 def test_membranes(dual, minimum, project, rtol, expansion):
     """The cost is 1/400 of its terms, so 1e-5 in the gradient leaves 1 % in the cost."""

@@ -55,10 +55,7 @@ def row_of_boxes(cell: str = "quadrilateral", far: float = 0.1) -> Row:
     label = np.floor(middle).astype(int)
     tags = tag_facets(
         domain,
-        {
-            BOTTOM: lambda x: np.isclose(x[gdim - 1], 0.1),
-            LEFT: lambda x: np.isclose(x[0], far),
-        },
+        {BOTTOM: lambda x: np.isclose(x[gdim - 1], 0.1), LEFT: lambda x: np.isclose(x[0], far)},
     )
     V = displacement_space(domain)
     cells = [np.flatnonzero(label == i).astype(np.int32) for i in range(NUMBER)]

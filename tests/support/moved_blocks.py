@@ -86,10 +86,7 @@ def blocks(
     low, high, shift = np.zeros(gdim), np.ones(gdim), np.zeros(gdim)
     shift[0], shift[up] = (length - 1) // 2, 1.0 + gap
     wide = high + (length - 1) * np.eye(gdim)[0]
-    parts = [
-        (low, wide, (length * n, *(n,) * up)),
-        (low + shift, high + shift, (n,) * gdim),
-    ]
+    parts = [(low, wide, (length * n, *(n,) * up)), (low + shift, high + shift, (n,) * gdim)]
     marks = [(MASTER, at(up, 1.0), 1), (SLAVE, at(up, 1.0 + gap), 2), (GROUND, at(up, 0.0), 1)]
     return Blocks.of_boxes(comm, cell, parts, marks)
 

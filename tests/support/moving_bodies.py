@@ -29,10 +29,7 @@ class Motion:
         if load is not None:
             residual -= load(w)
         self.problem = problem_of(ufl.lhs(residual), ufl.rhs(residual))
-        self._energies = [
-            fem.form(elastic(self.u, self.u)),
-            fem.form(inertia(self.v, self.v)),
-        ]
+        self._energies = [fem.form(elastic(self.u, self.u)), fem.form(inertia(self.v, self.v))]
 
     def acceleration(self, u, u0, v0, a0):
         return (u - u0 - self.dt * v0) / (self.beta * self.dt**2) - (1 / (2 * self.beta) - 1) * a0

@@ -273,11 +273,7 @@ def loaded_beams(scene: Scene, metre: float = 1.0) -> Scene:
 
 
 def pressed_block(
-    comm: MPI.Comm,
-    cell: str = "hexahedron",
-    n: int = 3,
-    approach: float = 1e-3,
-    gap: float = 0.0,
+    comm: MPI.Comm, cell: str = "hexahedron", n: int = 3, approach: float = 1e-3, gap: float = 0.0
 ) -> Scene:
     """A unit block between symmetry planes, its top pushed down onto a rigid plane.
 

@@ -146,14 +146,7 @@ CHANGES = [
 
 
 def two_blocks(
-    slide,
-    options,
-    n=12,
-    comm=MPI.COMM_SELF,
-    upper=None,
-    height=0.3,
-    start=0.0,
-    geometry=None,
+    slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0, geometry=None
 ):
     """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
 

@@ -119,10 +119,7 @@ def assert_contacts(scene, problem, alone, serial, reference):
         np.testing.assert_array_equal(found.active, found.normal_force > 0.0)
     exact = scene.total_forces or [contact.forces.sum() for contact in reference.contacts]
     summed = [COMM.allreduce(contact.normal_force.sum()) for contact in problem.results]
-    for name, total in (
-        ("report", normal_forces(problem)),
-        ("sum over nodes", summed),
-    ):
+    for name, total in (("report", normal_forces(problem)), ("sum over nodes", summed)):
         np.testing.assert_allclose(total, exact, rtol=1e-6, atol=1e-3, err_msg=name)
 
 

@@ -49,8 +49,7 @@ def joined(kind, tags, slave, d):
 
 
 @pytest.mark.parametrize(
-    ("cell", "kind", "slave"),
-    pairwise(CELLS, ["contact", "tied", "on obstacle"], [LOWER, UPPER]),
+    ("cell", "kind", "slave"), pairwise(CELLS, ["contact", "tied", "on obstacle"], [LOWER, UPPER])
 )
 def test_blocks_under_their_own_weight(cell, kind, slave):
     """Between smooth walls the displacement is quadratic in the height, pressures are uniform."""

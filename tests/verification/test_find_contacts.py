@@ -15,13 +15,7 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import (
-    ContactProblem,
-    Coulomb,
-    Plane,
-    RigidObstacle,
-    find_contacts,
-)
+from fenics_tfeti import ContactProblem, Coulomb, Plane, RigidObstacle, find_contacts
 from fenics_tfeti.io import boxes, displacement_space
 from fenics_tfeti.models import isotropic
 

@@ -332,8 +332,7 @@ def test_belt_on_a_drum(mu):
 
 
 @pytest.mark.parametrize(
-    ("cell", "n", "lower"),
-    [("quadrilateral", 3, None), ("hexahedron", 1, None)],
+    ("cell", "n", "lower"), [("quadrilateral", 3, None), ("hexahedron", 1, None)]
 )
 def test_ground_carries_a_block_that_slips_everywhere(cell, n, lower):
     """Forces in balance, all at the bound, leave its place to slips outwards at both ends."""

@@ -42,8 +42,7 @@ def test_at_most_twice_as_many_products(case):
 
 
 @pytest.mark.parametrize(
-    "case",
-    ["3D, friction", "2D, degree 2", *(pytest.param(case, marks=heavy) for case in REST)],
+    "case", ["3D, friction", "2D, degree 2", *(pytest.param(case, marks=heavy) for case in REST)]
 )
 def test_certificate_and_force(case):
     """The force is that of another preconditioner, which takes many more products."""

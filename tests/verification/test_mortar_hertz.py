@@ -101,12 +101,7 @@ def errors(problem):
         r[inside] ** 2, contact.pressure[inside] ** 2, 1, w=np.sqrt(contact.area[inside])
     )
     square = contact.area @ (contact.pressure - exact) ** 2 / (contact.area @ exact**2)
-    return (
-        np.sqrt(height) / peak - 1.0,
-        np.sqrt(-height / slope) / a - 1.0,
-        np.sqrt(square),
-        a,
-    )
+    return (np.sqrt(height) / peak - 1.0, np.sqrt(-height / slope) / a - 1.0, np.sqrt(square), a)
 
 
 @pytest.mark.parametrize("slave", [BALL, BLOCK], ids=["cylinder", "block"])

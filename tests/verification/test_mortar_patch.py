@@ -139,8 +139,7 @@ def mean_around_corner(contact, low, area):
 
 
 @pytest.mark.parametrize(
-    ("cell", "grid"),
-    [("tetrahedron", (8, 6)), ("hexahedron", (6, 8)), ("hexahedron", (10, 12))],
+    ("cell", "grid"), [("tetrahedron", (8, 6)), ("hexahedron", (6, 8)), ("hexahedron", (10, 12))]
 )
 def test_pressure_at_sharp_corners_is_the_same_over_equal_areas(cell, grid):
     """It is singular there: the finer surface as slave shows up to 2.6 times as much at a node."""

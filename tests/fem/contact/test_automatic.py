@@ -24,14 +24,7 @@ from fenics_tfeti import (
 )
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import owned_facets
-from fenics_tfeti.io import (
-    Box,
-    Interface,
-    boxes,
-    displacement_space,
-    split_interfaces,
-    tag_facets,
-)
+from fenics_tfeti.io import Box, Interface, boxes, displacement_space, split_interfaces, tag_facets
 from fenics_tfeti.models import isotropic, neo_hookean
 from fenics_tfeti.parallel import concatenate_ranks
 

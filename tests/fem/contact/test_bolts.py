@@ -15,14 +15,7 @@ from scenes import POISSON, Scene, at, dimension
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import (
-    BoltPreload,
-    Exact,
-    InputError,
-    NonlinearContactProblem,
-    Plane,
-    RigidBody,
-)
+from fenics_tfeti import BoltPreload, Exact, InputError, NonlinearContactProblem, Plane, RigidBody
 from fenics_tfeti.io import Box, Interface, split_interfaces
 from fenics_tfeti.models import isotropic, neo_hookean
 
@@ -162,8 +155,7 @@ def turned_bar(cell, turns, **data):
 
 
 @pytest.mark.parametrize(
-    ("cell", "data"),
-    [("quadrilateral", {"force": 1e-2 * E}), ("hexahedron", {"shortening": 0.1})],
+    ("cell", "data"), [("quadrilateral", {"force": 1e-2 * E}), ("hexahedron", {"shortening": 0.1})]
 )
 def test_turned_bolt(cell, data):
     """The axis turns with the cut: the stretched bar is the same but for its rotation."""

@@ -7,17 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
-from scenes import (
-    CLAMPED,
-    GROUND,
-    LOADED,
-    MASTER,
-    SIDE_X,
-    SLAVE,
-    TRACTION,
-    at,
-    normal_forces,
-)
+from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, TRACTION, at, normal_forces
 from strips import matched, partners, strips
 
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere

@@ -156,9 +156,7 @@ def test_load_steps_on_both_meshes():
         problems[1].solve(coarse=problems[0])
     assert problems[1].report.reused[-2:] == ["multipliers", "contact guess"]
     np.testing.assert_allclose(
-        normal_forces(problems[1]),
-        [0.1 * force for force in fine.total_forces],
-        rtol=1e-5,
+        normal_forces(problems[1]), [0.1 * force for force in fine.total_forces], rtol=1e-5
     )
 
 

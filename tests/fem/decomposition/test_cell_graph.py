@@ -7,11 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 
-from fenics_tfeti.fem.decomposition.bodies import (
-    cell_graph,
-    components,
-    groups,
-)
+from fenics_tfeti.fem.decomposition.bodies import cell_graph, components, groups
 from fenics_tfeti.io import Box, boxes
 
 

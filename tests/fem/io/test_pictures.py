@@ -46,8 +46,7 @@ def fields(cell):
 
 
 @pytest.mark.parametrize(
-    ("cell", "names"),
-    [("triangle", ["floor", "far", "none"]), ("hexahedron", ["floor", "far"])],
+    ("cell", "names"), [("triangle", ["floor", "far", "none"]), ("hexahedron", ["floor", "far"])]
 )
 def test_picture_has_its_size_and_obstacles_where_they_are(cell, names, tmp_path):
     """Of a plane body that does not move and of one in space that does, on a floor or above it."""

@@ -11,11 +11,7 @@ import pytest
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.factors import compiled
-from fenics_tfeti.feti.factors.cholesky import (
-    available_packages,
-    describe_package,
-    sparse_cholesky,
-)
+from fenics_tfeti.feti.factors.cholesky import available_packages, describe_package, sparse_cholesky
 from fenics_tfeti.feti.factors.compiled import supernodal_library
 
 pytestmark = [

@@ -16,11 +16,7 @@ from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
-from fenics_tfeti.feti.solution.recovery import (
-    Recovered,
-    balance_multipliers,
-    recover_displacement,
-)
+from fenics_tfeti.feti.solution.recovery import Recovered, balance_multipliers, recover_displacement
 
 pytestmark = pytest.mark.once
 
