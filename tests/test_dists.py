@@ -1,7 +1,5 @@
 """The wheel and the sdist have all files."""
 
-from __future__ import annotations
-
 import re
 import sys
 import tarfile

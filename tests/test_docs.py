@@ -1,7 +1,5 @@
 """The documentation lists all options with their defaults; the citation has the version."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Demos as pages and notebooks; the interface that they use; links between pages."""
 
-from __future__ import annotations
-
 import ast
 import sys
 import zlib

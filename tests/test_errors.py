@@ -3,8 +3,6 @@
 It is the same on all ranks: none is left waiting.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`fenics_tfeti.io` has the public names of `fem.io`, and only its import loads dolfinx."""
 
-from __future__ import annotations
-
 from new_process import run_python
 
 import fenics_tfeti.io

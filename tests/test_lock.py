@@ -1,7 +1,5 @@
 """The environment holds what its lock says."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

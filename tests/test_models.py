@@ -1,7 +1,5 @@
 """Material laws and supports against formulas."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Options from the command line, and scripts that have none: run inside other programs."""
 
-from __future__ import annotations
-
 from new_process import run_python
 
 SOLVE = """

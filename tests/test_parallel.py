@@ -1,7 +1,5 @@
 """Errors in a block, on one rank and on several."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the files for visitors and services say is there: targets, files, versions."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Each demo runs, and its result is the one that its text explains."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from demo_runner import DEMOS, run_demo

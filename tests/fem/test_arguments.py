@@ -1,7 +1,5 @@
 """Arguments whose meaning is clear are taken; tests/test_errors.py has those that are mistakes."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from mpi4py import MPI

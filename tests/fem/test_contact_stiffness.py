@@ -1,7 +1,5 @@
 """The stiffness of a uniform pressure whose direction turns with the surface: its closed form."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The displacement space, prescribed values, and the function put together from subdomains."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 

@@ -1,7 +1,5 @@
 """The residual and its scale, and multipliers as a vector, at a displacement that is given."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Displacement gradients in cells, and what Newton's method reads off them."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

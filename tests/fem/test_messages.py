@@ -1,7 +1,5 @@
 """Messages name the first wrong place, however the points are ordered."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

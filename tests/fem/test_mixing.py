@@ -1,7 +1,5 @@
 """Anderson mixing on a linear iteration, whose fixed point it finds."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

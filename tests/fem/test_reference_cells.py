@@ -1,7 +1,5 @@
 """Reference cells against the geometry and the elements of basix."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

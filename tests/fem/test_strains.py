@@ -1,7 +1,5 @@
 """The warning where displacement gradients are not small."""
 
-from __future__ import annotations
-
 import warnings
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Facets of cells, and which of them are on the boundary."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

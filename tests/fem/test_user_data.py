@@ -1,7 +1,5 @@
 """Functions and arrays of the user become checked arrays."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

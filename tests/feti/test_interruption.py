@@ -1,7 +1,5 @@
 """A real SIGINT during a solve leaves the last iterate and a report."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """``python -m fenics_tfeti.feti``: what it reads, writes and prints."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Rigid bodies: subdomains without stiffness, against dense solutions of the KKT conditions."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

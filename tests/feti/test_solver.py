@@ -1,7 +1,5 @@
 """The feti layer alone, without dolfinx, against dense algebra."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import weakref

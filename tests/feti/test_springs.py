@@ -10,8 +10,6 @@ stiffness of the glued bodies and lambda its smallest eigenvalue, s for springs 
   1e-13 it is a tenth of u: the rest of their stiffness is not in K.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.linalg

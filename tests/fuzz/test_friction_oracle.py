@@ -1,7 +1,5 @@
 """The conditions of problems with friction, on solutions that are right and wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Some random problems, in a process of their own so that a hang or a crash is an outcome too."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The oracle against another QP solver, and the comparison against solutions that are wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

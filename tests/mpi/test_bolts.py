@@ -1,7 +1,5 @@
 """Bolts on several ranks are those of one process."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checkpoints of several ranks."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

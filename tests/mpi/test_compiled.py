@@ -1,7 +1,5 @@
 """All ranks of a node take the code that one of them compiles."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import pytest

@@ -1,7 +1,5 @@
 """Ranks may have no cells at all."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Files that cannot be written are the same error on all ranks, and nothing is left behind."""
 
-from __future__ import annotations
-
 import json
 import resource
 import signal

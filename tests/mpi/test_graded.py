@@ -1,7 +1,5 @@
 """Graded meshes on several ranks: the same choice and solution as on one."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import pytest

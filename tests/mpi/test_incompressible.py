@@ -1,7 +1,5 @@
 """Nearly incompressible materials on several ranks: the same counts and solution as on one."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import pytest

@@ -1,7 +1,5 @@
 """Bodies are separated at interfaces alike on any number of ranks."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

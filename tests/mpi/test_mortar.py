@@ -1,7 +1,5 @@
 """Mortar conditions and their solutions are those of one process, on any number of ranks."""
 
-from __future__ import annotations
-
 from itertools import cycle
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Nodes that are moved between two solves: as if the problem were set up anew."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contact at finite strains on several ranks: the answers and errors of one rank."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a problem on several ranks."""
 
-from __future__ import annotations
-
 import base64
 import re
 

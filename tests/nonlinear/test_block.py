@@ -1,7 +1,5 @@
 """A block pressed in by a rigid ball by a third of its height, against plain dolfinx and SciPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from finite_strains import indented_block, rotation

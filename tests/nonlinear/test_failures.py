@@ -1,7 +1,5 @@
 """What the user gets where Newton's method cannot be posed, or finds no equilibrium."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Materials with a history that the user keeps: plasticity with its consistent tangent."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

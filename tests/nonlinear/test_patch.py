@@ -1,7 +1,5 @@
 """Blocks under uniform compression: the closed form, however they are turned and held."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from finite_strains import pressed_patch, squeezed_block

@@ -4,8 +4,6 @@ The references of the ironed block without friction and of the beam are those of
 with an active set and sparse LU of the whole tangent.
 """
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loads that hardly strain: the answers of a linear problem with exact non-penetration."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from finite_strains import indented_block, ironing

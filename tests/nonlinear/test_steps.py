@@ -1,7 +1,5 @@
 """Load steps that are cut where they fail and lengthened where they are easy; checkpoints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

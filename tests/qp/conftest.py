@@ -1,7 +1,5 @@
 """Random problems are the same in every run; `make fuzz` draws others."""
 
-from __future__ import annotations
-
 import hypothesis
 
 hypothesis.settings.register_profile("qp", max_examples=20, deadline=None, derandomize=True)

@@ -1,7 +1,5 @@
 """Vectors within balls, by hand and by differences."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

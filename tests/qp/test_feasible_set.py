@@ -1,7 +1,5 @@
 """Projection, boundary and split gradient, by their definitions, on feasible sets by hand."""
 
-from __future__ import annotations
-
 import hypothesis
 import hypothesis.strategies as st
 import numpy as np

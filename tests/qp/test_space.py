@@ -1,7 +1,5 @@
 """Inner products with vectors of one process, and with parts that several processes own."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

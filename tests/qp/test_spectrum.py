@@ -1,7 +1,5 @@
 """The Lanczos bound against known spectra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from qp_problems import membranes

@@ -1,7 +1,5 @@
 """Meshes whose bodies share the nodes of the interfaces between them."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies in motion, by the time steps of the page about impact."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small .msh files of version 2.2, and those of models of Gmsh."""
 
-from __future__ import annotations
-
 import signal
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Two strips, one above the other with a gap, which may be bent; and how their nodes are paired."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Total FETI against the same discrete problem solved as a whole, and against exact totals."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from mpi4py import MPI

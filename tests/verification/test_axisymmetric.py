@@ -1,7 +1,5 @@
 """Axisymmetric forms: pressures by formulas, with the factors 2 pi r and r of the measures."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Displacements of degree 2: quadratic patch tests, rates of convergence, curved cells."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

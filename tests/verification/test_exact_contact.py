@@ -1,7 +1,5 @@
 """Exact non-penetration: the deformed surfaces touch, and report and forces say so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Pairs of bricks that are found: forces, and what the search and open joints cost."""
 
-from __future__ import annotations
-
 import gc
 import sys
 import time

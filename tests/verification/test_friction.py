@@ -1,7 +1,5 @@
 """Friction: blocks, and a strip whose slip has a formula."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -7,8 +7,6 @@ An exact solution of the discrete problem is off by 0.1 to 0.4 % in p0; in a by 
 hexahedra and by 2 to 4 % on tetrahedra. The limits leave room for other versions of Gmsh.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mesh_arrays import of_script

@@ -1,7 +1,5 @@
 """Impact in time steps: waves in bars, Hertz's ball that bounces, a block that slides to rest."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """A problem solved again after a change gives what a new problem gives, and reuses what it can."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """The half ball of benchmarks/peers_lvpp.py, where dolfinx has what LVPP needs."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Memory: solve after solve in a process of its own, and the peak of a solve with new materials."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

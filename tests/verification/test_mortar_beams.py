@@ -1,7 +1,5 @@
 """Two beams, one on the other, meshed apart: forces, energy and products as of equal meshes."""
 
-from __future__ import annotations
-
 import itertools
 
 from mpi4py import MPI

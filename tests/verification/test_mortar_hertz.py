@@ -5,8 +5,6 @@ of Gmsh's unstructured simplices, finer where they touch. Pressure squared falls
 square of the distance from the axis: its fit gives the peak and the radius of the contact.
 """
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

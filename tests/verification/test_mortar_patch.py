@@ -1,7 +1,5 @@
 """Contact patch test on meshes that do not match: exact on any two meshes, also down to slivers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks, solved

@@ -1,7 +1,5 @@
 """The scenes of benchmarks/peers.py on coarse meshes, by the codes that are installed."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from pathlib import Path

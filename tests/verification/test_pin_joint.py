@@ -1,7 +1,5 @@
 """The first joint drawn in CAD: a lug on a loose pin in a fork, with clearance."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

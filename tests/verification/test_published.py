@@ -1,7 +1,5 @@
 """Benchmarks that others have published, by the scripts in benchmarks/published."""
 
-from __future__ import annotations
-
 import runpy
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """General QP solvers find the same minimisers (`benchmarks/qp_solvers.py`)."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Roller bearings: balance, free motions, loads of the rollers, pressures along a roller."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from importlib import import_module

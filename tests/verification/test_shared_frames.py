@@ -1,7 +1,5 @@
 """Subdomains that are rotated images share a stiffness matrix if their forms allow it."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Subdomains that share a stiffness matrix give what they give each with its own."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 from mpi4py import MPI

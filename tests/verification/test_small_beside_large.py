@@ -3,8 +3,6 @@
 The scripts are those of a user of dolfinx, with the default options unless said otherwise.
 """
 
-from __future__ import annotations
-
 import itertools
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Bodies that are not connected through facets, and nodes at the same place, are refused."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Cells without volume, twisted ones and overlapping ones are refused and named."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from itertools import permutations, product
 

@@ -1,7 +1,5 @@
 """Locking of linear elements: measured by element matrices, told with the remedy."""
 
-from __future__ import annotations
-
 import warnings
 from itertools import cycle
 

@@ -1,7 +1,5 @@
 """Sound meshes pass all checks, whatever their shape, size and place."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contact pairs of all bodies that are near each other: which facets, names, roles and warnings."""
 
-from __future__ import annotations
-
 import re
 import warnings
 

@@ -1,7 +1,5 @@
 """Bolts that are shortened, tightened by a force, and locked."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Checks of contacts pass what is no mistake; tests/test_errors.py has the users' mistakes."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Results gathered from all ranks, by name, and values at slave nodes of contacts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

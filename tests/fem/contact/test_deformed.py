@@ -1,7 +1,5 @@
 """Normals, gaps and penetration in the deformed state."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

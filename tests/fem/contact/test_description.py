@@ -1,7 +1,5 @@
 """Descriptions of contacts check themselves: the error is where they are made."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

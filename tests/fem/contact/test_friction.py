@@ -1,7 +1,5 @@
 """Laws of friction: what users may give, and the errors for what they may not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

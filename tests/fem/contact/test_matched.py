@@ -1,7 +1,5 @@
 """Periodic and cyclic surfaces, and any linear rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

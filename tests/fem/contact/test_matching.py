@@ -1,7 +1,5 @@
 """Pairs of nodes with gaps and areas; partial contacts; contact rows."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

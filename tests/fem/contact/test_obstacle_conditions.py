@@ -1,7 +1,5 @@
 """Conditions at rigid obstacles, for displacements of degree 1 and 2."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

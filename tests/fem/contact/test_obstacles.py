@@ -1,7 +1,5 @@
 """Rigid obstacles: distances and normals against what they are by hand."""
 
-from __future__ import annotations
-
 from xml.etree import ElementTree
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Gaps after the solve, of pairs of nodes, mortar conditions and obstacles."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

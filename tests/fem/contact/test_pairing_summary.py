@@ -1,7 +1,5 @@
 """The pairing in numbers, and in the report."""
 
-from __future__ import annotations
-
 import json
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Conditions of many pairs that are found at once are those of each pair alone."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Rigid bodies with cells of the mesh, against obstacles with the same shape and stiff bodies."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

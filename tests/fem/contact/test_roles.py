@@ -1,7 +1,5 @@
 """Which of two surfaces is better the slave."""
 
-from __future__ import annotations
-
 import warnings
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Surfaces that stay together: two blocks meshed apart are one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

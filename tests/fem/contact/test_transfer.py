@@ -1,7 +1,5 @@
 """Contact of a coarse mesh as the start on a fine one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

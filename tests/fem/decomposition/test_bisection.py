@@ -1,7 +1,5 @@
 """Planes cut cells into connected parts of equal size, whose interfaces are then smoothed."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies are the connected parts of the mesh, told apart by cell tags."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

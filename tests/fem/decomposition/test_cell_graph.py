@@ -1,7 +1,5 @@
 """The graph of cells, and its components of equal labels."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Forms: which integrals, coefficients and tags they may have, and what bound forms integrate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from box_rows import BOTTOM, INSIDE, LEFT, assemble, row_of_boxes

@@ -1,7 +1,5 @@
 """Rotated and mirrored sets of points are found, with the matrix and the pairs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import ortho_group

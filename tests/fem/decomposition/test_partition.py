@@ -1,7 +1,5 @@
 """Subdomains are connected, of about the wanted size, and equal blocks where cells form a grid."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Congruent parts have equal tables, and only equal parts share."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from box_rows import NUMBER, row_of_boxes

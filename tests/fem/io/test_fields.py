@@ -1,7 +1,5 @@
 """The von Mises stress, and files for ParaView that keep every field under its name."""
 
-from __future__ import annotations
-
 import sys
 from subprocess import run
 from xml.etree import ElementTree

@@ -1,7 +1,5 @@
 """Reading of .msh files: tags, names, separate bodies, and errors that say what to do."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 

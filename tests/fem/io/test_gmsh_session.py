@@ -1,7 +1,5 @@
 """Sessions of Gmsh leave no trace, and files that Gmsh cannot read are named."""
 
-from __future__ import annotations
-
 import signal
 import sys
 

@@ -1,7 +1,5 @@
 """Bodies that share nodes get nodes of their own at the interfaces between them."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Units beside numbers, which change no number of a solve."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import pytest

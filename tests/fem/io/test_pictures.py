@@ -1,7 +1,5 @@
 """Pictures: what is drawn is the field, and errors leave no file behind."""
 
-from __future__ import annotations
-
 import os
 import sys
 

@@ -1,7 +1,5 @@
 """The script that draws, in a process of its own as VTK requires beside dolfinx."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

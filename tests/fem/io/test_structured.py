@@ -1,7 +1,5 @@
 """Structured meshes of boxes and tags of their facets."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

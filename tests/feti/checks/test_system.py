@@ -1,7 +1,5 @@
 """The check of a torn system: mistakes are named, and what is unusual but right is accepted."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Groups of sparse columns: their bases and pivots, against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp

@@ -1,7 +1,5 @@
 """Faces that come back are not factored again."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

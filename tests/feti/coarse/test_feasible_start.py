@@ -1,7 +1,5 @@
 """Multipliers that balance the load, with contact forces that only press (lemma 11.1)."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """G = R'B' against dense algebra, and the motions that its rows leave free."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dense import DenseSystem

@@ -1,7 +1,5 @@
 """Tangential rows, their scale, and the set of tangential forces."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """Rows that hold the ground of soft elastic supports."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from springs import pressed_column

@@ -1,7 +1,5 @@
 """B on the unknowns that it acts on, packed by classes of congruent subdomains."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.sparse as sp

@@ -1,7 +1,5 @@
 """Nodes and their copies."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Stiff modes against dense eigenvalues, and the capped stiffness."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The Hessian of the augmented dual problem (11.40), against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dense import DenseSystem

@@ -1,7 +1,5 @@
 """Rows that cannot be closed together leave a set, and sites of friction slip."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The direct solver of faces against dense algebra."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from dense import DenseSystem

@@ -1,7 +1,5 @@
 """Newton's method on proximal problems finds the forces of friction from any start."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

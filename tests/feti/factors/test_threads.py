@@ -1,7 +1,5 @@
 """Libraries work on the calling thread only, also those that ask for more."""
 
-from __future__ import annotations
-
 from mpi4py import MPI  # noqa: F401  first, or the wheels' petsc4py does not find the MPI library
 
 from petsc4py import PETSc

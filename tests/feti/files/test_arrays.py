@@ -1,7 +1,5 @@
 """Files are whole or not there, and what is wrong with one is named."""
 
-from __future__ import annotations
-
 import resource
 import zipfile
 

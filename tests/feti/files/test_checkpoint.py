@@ -1,7 +1,5 @@
 """Checkpoints of torn systems: where a later run starts, and what is refused."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A subdomain with the ground of its soft supports floats."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from springs import on_springs

@@ -1,7 +1,5 @@
 """Fixing nodes of algorithm 11.1: near the centres of equal parts of a subdomain."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from torn import cube

@@ -1,7 +1,5 @@
 """Components in the frames of subdomains."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import ortho_group

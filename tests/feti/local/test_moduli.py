@@ -1,7 +1,5 @@
 """Bulk and shear modulus from stiffness matrices."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torn

@@ -1,7 +1,5 @@
 """Rigid body modes, the kernel of K_i, and rigid motions in words."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 

@@ -1,7 +1,5 @@
 """Trial displacements of cubes: their energies by the moduli."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torn

@@ -1,7 +1,5 @@
 """Reactions, contact forces and equilibrium from B'lambda, without dolfinx."""
 
-from __future__ import annotations
-
 import dataclasses
 
 from mpi4py import MPI

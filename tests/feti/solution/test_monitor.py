@@ -1,7 +1,5 @@
 """What a solve tells: to the user's function and the log; it prints nothing unless asked."""
 
-from __future__ import annotations
-
 import logging
 
 import pytest

@@ -1,7 +1,5 @@
 """Multipliers of bodies without load vanish, and only these."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Mistakes that a user may make, by subject."""
 
-from __future__ import annotations
-
 from mistakes import arguments, bodies, contacts, forms, meshes, pairing, supports
 
 # in the order of the page of errors

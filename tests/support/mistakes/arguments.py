@@ -1,7 +1,5 @@
 """Mistakes in options and other arguments of the problem and of `solve`."""
 
-from __future__ import annotations
-
 import numpy as np
 import scenes
 

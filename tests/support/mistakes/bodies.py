@@ -1,7 +1,5 @@
 """Mistakes with rigid bodies, bolts, periodic surfaces and linear rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import scenes
 from scenes import CLAMPED, GROUND, LOADED, MASTER, SLAVE, Scene, at

@@ -1,7 +1,5 @@
 """Mistakes in what may touch what: tags, roles of surfaces, obstacles."""
 
-from __future__ import annotations
-
 import numpy as np
 import scenes
 from scenes import CLAMPED, MASTER, SLAVE, at

@@ -1,7 +1,5 @@
 """Mistakes in forms, spaces and prescribed displacements."""
 
-from __future__ import annotations
-
 import numpy as np
 import scenes
 from scenes import LOADED, ROLLER, SLAVE, YOUNG, elasticity, scalar_space

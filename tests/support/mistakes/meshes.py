@@ -1,7 +1,5 @@
 """Mistakes in meshes and in the tags of their cells."""
 
-from __future__ import annotations
-
 import numpy as np
 from mesh_arrays import concatenated, grid, merged, mesh_of, problem_on, slit, tags_of
 

@@ -1,7 +1,5 @@
 """Mistakes in the pairing of slave and master nodes, and in normals."""
 
-from __future__ import annotations
-
 import numpy as np
 import scenes
 from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, at

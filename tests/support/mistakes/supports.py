@@ -1,7 +1,5 @@
 """Mistakes in supports: contradictions, and bodies that move freely."""
 
-from __future__ import annotations
-
 from scenes import CLAMPED, LOADED, TRACTION, fixed
 
 import ufl

@@ -3,8 +3,6 @@
 The process that draws the picture imports this if the folder is in its PYTHONPATH, and ends.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Candidates are found at any distance, and only where facets face each other."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from facet_grids import chain, grid

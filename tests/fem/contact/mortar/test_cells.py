@@ -1,7 +1,5 @@
 """Cells cover what the master covers, once, in the nearest layer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from facet_grids import chain, grid

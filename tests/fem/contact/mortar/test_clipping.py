@@ -1,7 +1,5 @@
 """Intersections of intervals and polygons."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

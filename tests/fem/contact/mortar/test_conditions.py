@@ -1,7 +1,5 @@
 """Mortar conditions of dolfinx surfaces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mortar_blocks import LOWER, UPPER, Blocks

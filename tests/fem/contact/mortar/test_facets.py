@@ -1,7 +1,5 @@
 """Planes of facets, shape functions and reference coordinates."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from facet_grids import chain, grid

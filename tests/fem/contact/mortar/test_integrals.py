@@ -1,7 +1,5 @@
 """Integrals over the covered parts of facets."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from facet_grids import chain, grid

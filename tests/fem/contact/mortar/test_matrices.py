@@ -1,7 +1,5 @@
 """D and M: the identities of dual mortars, down to slivers."""
 
-from __future__ import annotations
-
 from itertools import permutations
 
 import numpy as np

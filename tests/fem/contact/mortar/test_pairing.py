@@ -1,7 +1,5 @@
 """Mortar conditions with normals and gaps, also on deformed surfaces."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from mortar_blocks import Blocks, uneven

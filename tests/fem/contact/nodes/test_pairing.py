@@ -1,7 +1,5 @@
 """Which surfaces have pairs of nodes, and which mortar conditions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scenes import MASTER, SLAVE

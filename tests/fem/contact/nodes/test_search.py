@@ -1,7 +1,5 @@
 """The four ways to find partners, the tolerance, and meshes that do not match."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """The tree finds all facets whose boxes a query wants."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Normals of faceted round cylinders without their tilt along the axis."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gaps that replace those of the mesh."""
 
-from __future__ import annotations
-
 import warnings
 
 from mpi4py import MPI

@@ -1,7 +1,5 @@
 """The weight of the surface measure: what users may give, and the areas it makes."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Each rank gets of a master's surface what is near its slave facets, and all of that."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Facets oriented outwards, with their nodes one after the other around them."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Deformed surfaces: orientation, normals, interpolation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from moved_blocks import CELLS, blocks, lifted, turned

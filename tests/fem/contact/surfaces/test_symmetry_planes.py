@@ -1,7 +1,5 @@
 """Normals at nodes in planes of symmetry."""
 
-from __future__ import annotations
-
 import numpy as np
 from scenes import MASTER, SLAVE, at
 from strips import bend, strips

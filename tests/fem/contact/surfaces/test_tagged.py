@@ -1,7 +1,5 @@
 """Normals, areas and sizes at the nodes of tagged surfaces."""
 
-from __future__ import annotations
-
 from mpi4py import MPI
 
 import numpy as np
