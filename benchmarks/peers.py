@@ -90,7 +90,10 @@ def run(divisions=(8,), codes=("all",), scenes=tuple(SCENES), answer=""):
     chosen = list(CODES) if "all" in codes else codes
     # the reference runs in any case
     wanted = {REFERENCE[s] for name in chosen for s in CODES[name].scenes}.union(chosen)
-    for scene in (s for s in SCENES if s in scenes and REFERENCE[s] in wanted):
+    solved = [scene for scene in SCENES if scene in scenes and REFERENCE[scene] in wanted]
+    if not solved:
+        raise SystemExit(f"{', '.join(codes)} solve none of these scenes: {', '.join(scenes)}")
+    for scene in solved:
         names = [n for n in CODES if n in wanted and scene in CODES[n].scenes]
         for n in divisions:
             yield from compare(scene, names, n)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
-from fenics_tfeti.errors import ContactError, InputError, NotConverged
+from fenics_tfeti.errors import ContactError, InputError, NotConverged, wrong_type
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
@@ -171,6 +171,8 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         ...     print(t, problem.results["seal"].force)
         ...     problem.save(file)
         """
+        if not callable(set_load):
+            raise wrong_type("steps: set_load", set_load, "a function of the load")
         length = end - begin if first is None else first
         if not (begin < end and length > 0.0):
             raise InputError(

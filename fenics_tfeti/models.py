@@ -53,12 +53,22 @@ def axisymmetric_strain(u: Any) -> Any:
 
 
 def _lame(E: Any, nu: Any) -> tuple[Any, Any]:
-    """Return the Lame parameters mu and lambda [Pa]."""
-    if isinstance(nu, (int, float)) and not -1.0 < nu < 0.5:
-        raise InputError(
-            f"Poisson's ratio is {nu}, it has to be between -1 and 0.5. At 0.5 the bulk modulus is "
-            "infinite: rubber has 0.49 to 0.49999"
-        )
+    """Return the Lame parameters mu and lambda [Pa]; collective if nu is a Function."""
+    comm, values = MPI.COMM_SELF, np.zeros(0)
+    if isinstance(nu, fem.Function):
+        comm, values = nu.function_space.mesh.comm, nu.x.array
+    elif isinstance(nu, fem.Constant):
+        values = np.ravel(nu.value)
+    elif isinstance(nu, int | float | np.number):
+        values = np.ravel(nu)
+    with raise_collectively(comm):
+        wrong = values[~((values > -1.0) & (values < 0.5))]
+        if wrong.size:
+            raise InputError(
+                f"Poisson's ratio is {wrong[0]:.6g}, it has to be between -1 and 0.5. At 0.5 the "
+                "bulk modulus is infinite: rubber has 0.49 to 0.49999. Young's modulus is the "
+                "argument before it"
+            )
     return E / (2 * (1 + nu)), E * nu / ((1 + nu) * (1 - 2 * nu))
 
 

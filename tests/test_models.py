@@ -4,6 +4,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from scenes import scalar_space
 
 import ufl
 from dolfinx import fem
@@ -69,6 +70,18 @@ def test_uniaxial_stress_has_the_modulus_and_poissons_ratio(number):
     u = stretched(mesh, 1e-3 * np.diag([1.0, -NU, -NU]))
     stress = components(isotropic(modulus, NU)(u), mesh)
     np.testing.assert_allclose(stress, 1e-3 * E * np.diag([1.0, 0, 0]), atol=1e-15)
+
+
+@pytest.mark.parametrize("kind", ["number", "constant", "function"])
+def test_arguments_that_are_exchanged(kind):
+    mesh = unit_mesh(2)
+    modulus = {"number": 7e4, "constant": fem.Constant(mesh, 7e4)}.get(kind)
+    if kind == "function":
+        modulus = fem.Function(scalar_space(mesh))
+        modulus.x.array[:] = 7e4
+    for law in (isotropic, neo_hookean):
+        with pytest.raises(InputError, match="Poisson's ratio is 70000, .* argument before it"):
+            law(NU, modulus)
 
 
 def test_stress_is_symmetric_and_has_no_part_of_rotations():

@@ -75,6 +75,8 @@ def test_wrong_steps():
         begin, end, first = arguments
         with pytest.raises(InputError, match="load steps from"):
             list(scene.problem.steps(scene.set_load, begin, end, first=first))
+    with pytest.raises(InputError, match="steps: set_load is a dict; a function of the load"):
+        list(scene.problem.steps({"load": 1.0}, 0.0, 1.0))
 
 
 def test_repeated_solve_gives_the_same():

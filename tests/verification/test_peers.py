@@ -47,6 +47,11 @@ def test_codes_agree(peers, scene, codes):
             assert row[name] < limit, (row["code"], name)
 
 
+def test_codes_without_a_scene_in_common(peers):
+    with pytest.raises(SystemExit, match="snesvi-icc solve none of these scenes: two beams"):
+        list(peers.run(codes=["snesvi-icc"], scenes=["two beams"]))
+
+
 @pytest.mark.skipif(importlib.util.find_spec("getfem") is None, reason="needs GetFEM")
 def test_friction_agrees_with_getfem(monkeypatch):
     """In a process of its own: GetFEM brings another MUMPS than PETSc's."""
