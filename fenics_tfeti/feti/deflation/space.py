@@ -16,8 +16,11 @@ the glued bodies is positive, PFP has as many negative eigenvalues as all K_i to
 all of them, F_c is positive semidefinite on the rest (Haynsworth).
 
 U = C - G_E'X - WV is kept by its factors: each column of C and of G_E' belongs to one subdomain,
-X = (G_E G_E')^+ G C is small, and W are the few motions that the equality rows resist weakly. So
-K_s^+ B_s'U of a subdomain needs columns of C and G_E' of its neighbours only.
+X = (G_E G_E')^+ G C has few rows, and W are the few motions that the equality rows resist weakly.
+So B_s'U of a subdomain needs columns of C and G_E' of its neighbours only. With an orthonormal
+basis Z_s of what these do to the subdomain, B_s'U = Z_s T_s: there are as few responses K_s^+ Z_s
+as columns. Those of the columns themselves would cancel each other where stiff subdomains move
+together, which takes large coefficients X.
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.local.congruence import of_subdomains
-from fenics_tfeti.feti.tolerances import WEAK, ZERO
+from fenics_tfeti.feti.tolerances import PARALLEL, WEAK
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
@@ -53,10 +56,10 @@ _PASSES = 10
 
 @dataclass(frozen=True)
 class Response:
-    """K_s^+ B_s' times some columns of [C, G_E', W] or of U, of one subdomain."""
+    """K_s^+ B_s'U = K_s^+ Z T of one subdomain."""
 
-    columns: Numbers  # (j,): positions in [C, G_E', W]; columns of U have the positions of C
-    displacements: Vector  # (j, b): of the packed interface unknowns, a row for each column
+    displacements: Vector  # (r, b): (K_s^+ Z)' on the packed interface unknowns
+    coefficients: Vector  # (r, k): T
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,6 @@ class Deflation:
     V: Vector  # (w, k): their coefficients
     pieces: sp.csr_matrix  # (j, b): [C, G_E', W]'B on the packed interface unknowns
     responses: list[Response]  # in the order of the packed interface unknowns
-    unknowns: Numbers  # (subdomains + 1,): first packed unknown of each, and the end
     basis: Vector  # (k, r): combinations of columns of U that diagonalise U'FU
     energies: Vector  # (r,): its diagonal
     solves: int  # with K_s^+ on this rank, of the set-up
@@ -95,16 +97,16 @@ class Deflation:
         everyone = constraints.layout.sum_sparse(own)
         projector = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
         X, W, V, squares = _coefficients(projector, everyone)
-        pieces = sp.hstack(
+        parts = sp.hstack(
             [everyone, coarse_space.motions_of_rows(constraints.equality), sp.csr_matrix(W)]
         )
-        forces = (coarse_space.interface.transposed @ pieces.tocsr()).tocsr()
+        forces = (coarse_space.interface.transposed @ parts.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
         basis, energies = _diagonalised(constraints, gram, squares > WEAK**2)
         if not energies.size:
             return None
-        solves = sum(response.columns.size for response in responses)
+        solves = sum(len(response.displacements) for response in responses)
         return Deflation(
             coarse_space,
             vectors,
@@ -114,7 +116,6 @@ class Deflation:
             V,
             forces.T.tocsr(),
             responses,
-            coarse_space.interface.ends,
             basis,
             energies,
             solves,
@@ -136,7 +137,7 @@ class Deflation:
         arrays = [self.X, self.W, self.V, self.basis]
         arrays += [x for A in (self.own, self.pieces) for x in (A.data, A.indices)]
         arrays += self.vectors.values
-        arrays += [response.displacements for response in self.responses]
+        arrays += [array for response in self.responses for array in vars(response).values()]
         return sum(int(array.nbytes) for array in arrays)
 
     def part(self, operator: Operator, x: Vector) -> Vector:
@@ -190,23 +191,24 @@ class Deflation:
 
     def _coefficients_of(self, forces: Vector) -> Vector:
         """Return (U'FU)^{-1} U'F x for packed forces B'x; one reduction."""
-        products = np.zeros(self.pieces.shape[0])
-        for begin, response in zip(self.unknowns[:-1], self.responses, strict=True):
-            displacements = response.displacements
-            end = begin + displacements.shape[1]
-            products[response.columns] += displacements @ forces[begin:end]
-        return self._solve(self._combined(products))
+        part, end = np.zeros(self.X.shape[1]), 0
+        for response in self.responses:
+            begin, end = end, end + response.displacements.shape[1]
+            part += response.coefficients.T @ (response.displacements @ forces[begin:end])
+        return self._solve(self._sum(part))
 
     def _combined(self, products: Vector) -> Vector:
         """Return U'y, given the ranks' parts of [C, G_E', W]'y; one reduction."""
         k, h = self.X.shape[1], len(self.X)
         part = products[:k] - self.X.T @ products[k : k + h] - self.V.T @ products[k + h :]
+        return self._sum(part)
+
+    def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.space.sum_over_ranks(part)
 
     def _response(self, alpha: Vector) -> Vector:
         """Return K^+B'U alpha on this rank's packed interface unknowns."""
-        combination = np.concatenate([alpha, -self.X @ alpha, -self.V @ alpha])
-        parts = [combination[r.columns] @ r.displacements for r in self.responses]
+        parts = [(r.coefficients @ alpha) @ r.displacements for r in self.responses]
         return np.concatenate([np.zeros(0), *parts])
 
     def _solve(self, right: Vector) -> Vector:
@@ -265,7 +267,7 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     """
     coarse_space, layout = projector.coarse_space, projector.coarse_space.layout
     G = coarse_space.motions_of_rows(projector.rows)
-    own = (G[:, : int(coarse_space.ends[-1])].T @ C).tocsc()
+    restriction = G[:, : int(coarse_space.ends[-1])].T
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
     gram = projector.gram
     W = np.where(projector.rows[:, None], gram.rows, 0.0)
@@ -273,11 +275,14 @@ def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vecto
     squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
     for first in range(0, C.shape[1], COLUMNS):
         some = slice(first, first + COLUMNS)
-        coarse = projector.without_free_motions(layout.gather(own[:, some].toarray()))
-        X[:, some] = gram.factor.solve(coarse)[places]
-        V[:, some] = gram.motions.T @ coarse
-        U = C[:owned, some].toarray() - G[:owned] @ X[:, some] - W[:owned] @ V[:, some]
-        squares[some] = np.sum(U**2, axis=0)
+        U = C[:, some].toarray()
+        for _ in range(projector.passes):
+            coarse = projector.without_free_motions(layout.gather(restriction @ U))
+            x, v = gram.factor.solve(coarse)[places], gram.motions.T @ coarse
+            U -= G @ x + W @ v
+            X[:, some] += x
+            V[:, some] += v
+        squares[some] = np.sum(U[:owned] ** 2, axis=0)
     return X, W, V, coarse_space.constraints.layout.space.sum_over_ranks(squares)
 
 
@@ -287,23 +292,24 @@ def _responses(
     forces: sp.csr_matrix,
     combination: Vector,
 ) -> tuple[list[Response], Vector]:
-    """Return K_s^+ B_s' of the columns that reach each subdomain, and this rank's part of U'FU."""
-    total = combination.shape[1]
-    responses, entries = list[Response](), [(np.zeros((0, 0)), np.zeros(0, dtype=np.int64))]
+    """Return the response of each subdomain to the columns of U, and this rank's part of U'FU."""
+    total, responses = combination.shape[1], list[Response]()
+    gram = np.zeros((total, total))
     interface = coarse_space.interface
     operators = of_subdomains(interface.classes, on_interface)
     for operator, begin, end in zip(
         operators, interface.ends[:-1], interface.ends[1:], strict=True
     ):
-        columns, right = _filled_columns(forces, int(begin), int(end))
+        columns, parts = _filled_columns(forces, int(begin), int(end))
+        T = combination[columns]
         if columns.size > total:
             # those of U itself are fewer
-            columns, right = np.arange(total), combination[columns].T @ right
-        displacements = operator(right)
-        entries.append((displacements @ right.T, columns))
-        responses.append(Response(columns, displacements))
-    products = _assembled(entries, len(combination)) @ combination
-    return responses, combination.T @ products
+            parts, T = T.T @ parts, np.identity(total)
+        Z, R = np.linalg.qr(parts.T)
+        displacements, T = operator(Z.T), R @ T
+        gram += T.T @ ((displacements @ Z) @ T)
+        responses.append(Response(displacements, T))
+    return responses, gram
 
 
 def _filled_columns(matrix: sp.csr_matrix, begin: int, end: int) -> tuple[Numbers, Vector]:
@@ -318,14 +324,6 @@ def _filled_columns(matrix: sp.csr_matrix, begin: int, end: int) -> tuple[Number
     dense = np.zeros((columns.size, end - begin))
     dense[place[indices], np.repeat(np.arange(end - begin), np.diff(indptr))] = values
     return columns, dense
-
-
-def _assembled(blocks: Sequence[tuple[Vector, Numbers]], size: int) -> sp.csr_matrix:
-    """Return the sum of square blocks in given rows and columns."""
-    rows = np.concatenate([np.repeat(places, places.size) for _, places in blocks])
-    columns = np.concatenate([np.tile(places, places.size) for _, places in blocks])
-    values = np.concatenate([block.ravel() for block, _ in blocks])
-    return sp.csr_matrix((values, (rows, columns)), shape=(size, size))
 
 
 def _diagonalised(
@@ -344,7 +342,7 @@ def _diagonalised(
     whole = 0.5 * (whole + whole.T)[np.ix_(kept, kept)]
     lengths = _equilibration(whole)
     energies, vectors = np.linalg.eigh(whole / np.outer(lengths, lengths))
-    large = np.abs(energies) > ZERO * np.abs(energies).max(initial=0.0)
+    large = np.abs(energies) > PARALLEL * np.abs(energies).max(initial=0.0)
     basis = np.zeros((gram.shape[0], np.count_nonzero(large)))
     basis[kept] = vectors[:, large] / lengths[:, None]
     return basis, energies[large]

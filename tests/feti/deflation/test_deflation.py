@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.sparse as sp
 from dense import DenseSystem
 from fibres import reinforced_block
 from glued_reference import assert_solves
@@ -17,7 +19,8 @@ from torn import column
 from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
-from fenics_tfeti.feti.deflation.space import Deflation, at_most
+from fenics_tfeti.feti.deflation.space import Deflation, _coefficients, _responses, at_most
+from fenics_tfeti.feti.local.congruence import CongruenceClass
 
 pytestmark = pytest.mark.once
 
@@ -281,3 +284,29 @@ def test_any_directions_may_be_deflated(method):
     assert found.report.deflation["vectors"] == 20
     assert found.report.energy == pytest.approx(expected.report.energy, rel=1e-9)
     np.testing.assert_allclose(found.normal_force, expected.normal_force, rtol=0.0, atol=1e-6)
+
+
+def test_parts_that_cancel_leave_an_accurate_energy():
+    """g = 1e6 (f + 1e-6 g) - 1e6 f, where f is soft: 1e8 |f|^2 and |g|^2 are the energies."""
+    f, g = np.linalg.qr(np.random.default_rng(0).standard_normal((7, 2)))[0].T
+    parts = sp.csr_matrix(np.stack([f + 1e-6 * g, f], axis=1))
+    combination = np.array([[1e6, 1.0], [-1e6, 0.0]])
+    one = CongruenceClass(np.zeros(1, dtype=int), np.zeros(1, dtype=int), 7)
+    space = SimpleNamespace(interface=SimpleNamespace(classes=[one], ends=np.array([0, 7])))
+    _, gram = _responses(space, [lambda x: x + 1e8 * np.outer(x @ f, f)], parts, combination)
+    assert gram[0, 0] == pytest.approx(1.0, rel=1e-8)
+
+
+@pytest.mark.parametrize("passes", [1, 2, 3])
+def test_coefficients_take_all_passes_of_the_projector(passes):
+    """With nine tenths of (GG')^+ each pass leaves a tenth of G U."""
+    _, found = solver(2)
+    coarse_space = found.coarse_space
+    projector = Projector.build(
+        coarse_space, np.zeros(coarse_space.constraints.inequality.size, dtype=bool)
+    )
+    factor = SimpleNamespace(solve=lambda x: 0.9 * projector.gram.factor.solve(x))
+    inaccurate = replace(projector, gram=replace(projector.gram, factor=factor), passes=passes)
+    X = _coefficients(inaccurate, found.own)[0]
+    size = np.abs(found.X).max()
+    np.testing.assert_allclose(X, (1.0 - 0.1**passes) * found.X, atol=1e-12 * size)
