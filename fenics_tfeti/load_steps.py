@@ -229,6 +229,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             self.results,
             self.options.as_dict(),
             rigid_bodies=solved.body_results,
+            per_length=self.space.mesh.geometry.dim == 2 and conditions.boundary.weight is None,
             **report,
         )
         self._step = replace(self._step, force=solved.nodal_forces())

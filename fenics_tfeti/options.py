@@ -35,7 +35,7 @@ class ContactOptions:
         unless they are coiled.
     units : {"SI", "mm-N-MPa"}
         Units of the mesh, the loads and the material, which reports and their pages write beside
-        numbers.
+        numbers; of forces in plane problems they are per unit of length.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
 

@@ -35,6 +35,9 @@ class ContactReport(Report):
         Forces, moments, the work of friction and the pairing of each contact and tied pair.
     rigid_bodies : list of RigidBodyResult
         Motion of each rigid body, and the forces on it.
+    per_length : bool
+        Whether forces, moments and energies are those of a unit of length: in two dimensions, if
+        the problem has no `measure_weight`.
 
     Examples
     --------
@@ -46,6 +49,7 @@ class ContactReport(Report):
     contacts: Sequence[ContactEntry]
     passes: list[GeometryPass] = field(default_factory=list)
     rigid_bodies: list[RigidBodyResult] = field(default_factory=list)
+    per_length: bool = False
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
@@ -124,7 +128,7 @@ class ContactReport(Report):
 
     @property
     def _units(self) -> Units:
-        return units_of(self.options["units"])
+        return units_of(self.options["units"], self.per_length)
 
 
 # with the unit of length in place of L

@@ -25,7 +25,7 @@ _MAGNIFICATIONS = np.linspace(0.0, 2.0, 5)  # relative to that which makes displ
 
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
     """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
-    units = units_of(report["options"]["units"])
+    units = units_of(report["options"]["units"], report["per_length"])
     body = [_verdict(report, title, units)]
     if scene is not None:
         body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene, units))]
@@ -107,10 +107,9 @@ def _bolts(report: Mapping[str, Any], units: Units) -> list[str]:
 
 
 def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:
-    moment = f"{units.force} {units.length}"
     columns = {"translation": units.length, "rotation": "rad"}
-    columns |= {"force": units.force, "moment": moment}
-    columns |= {"reaction": units.force, "reaction_moment": moment}
+    columns |= {"force": units.force, "moment": units.moment}
+    columns |= {"reaction": units.force, "reaction_moment": units.moment}
     head = (f"{name.replace('_', ' ')} [{unit}]" for name, unit in columns.items())
     rows = [("rigid body", *head)]
     for body in report["rigid_bodies"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from fenics_tfeti.errors import InputError
@@ -25,6 +25,7 @@ class Units:
     force: str
     pressure: str
     energy: str
+    moment: str
 
     def factor(self, unit: str) -> float:
         """Return the number by which values of this system are multiplied to be in a unit.
@@ -41,13 +42,20 @@ class Units:
 
 
 _SYSTEMS: dict[str, Units] = {
-    "SI": Units("m", "N", "Pa", "J"),
-    "mm-N-MPa": Units("mm", "N", "MPa", "mJ"),
+    "SI": Units("m", "N", "Pa", "J", "N m"),
+    "mm-N-MPa": Units("mm", "N", "MPa", "mJ", "N mm"),
 }
 
 
-def units_of(system: str) -> Units:
-    """Return the units of a system by its name; an `InputError` lists the known ones."""
+def units_of(system: str, per_length: bool = False) -> Units:
+    """Return the units of a system by its name; an `InputError` lists the known ones.
+
+    In plane problems forces, moments and energies are those of a unit of length.
+    """
     if system not in _SYSTEMS:
         raise InputError(f"unknown units '{system}'; choose one of {', '.join(_SYSTEMS)}")
-    return _SYSTEMS[system]
+    units = _SYSTEMS[system]
+    if not per_length:
+        return units
+    force, energy = (f"{unit}/{units.length}" for unit in (units.force, units.energy))
+    return replace(units, force=force, energy=energy, moment=units.force)

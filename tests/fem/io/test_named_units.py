@@ -39,13 +39,16 @@ def test_unknown_units_are_errors_that_list_the_known(system, unit, known):
         units_of(system).factor(unit)
 
 
-@pytest.mark.parametrize(
-    ("units", "length", "force", "energy"), [("SI", "m", "N", "J"), ("mm-N-MPa", "mm", "N", "mJ")]
-)
-def test_report_and_page_name_the_units(tmp_path, units, length, force, energy):
+@pytest.mark.parametrize(("units", "thickness", "length", "force", "energy"), [
+    ("SI", None, "m", "N/m", "J/m"),
+    ("mm-N-MPa", None, "mm", "N/mm", "mJ/mm"),
+    ("mm-N-MPa", 1.0, "mm", "N", "mJ"),
+])  # fmt: skip
+def test_report_and_page_name_the_units(tmp_path, units, thickness, length, force, energy):
+    """In a plane problem forces are those of a unit of length, unless its thickness is given."""
     pytest.importorskip("plotly")
     scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 1)
-    problem = scene.problem(options={"units": units})
+    problem = scene.problem(options={"units": units}, measure_weight=thickness)
     problem.solve()
     text = str(problem.report)
     assert f"distance [{length}]" in text and f") {force} of" in text
