@@ -79,31 +79,40 @@ def match_pairs(
     return [found[k] for k in range(len(pairs))]
 
 
-def _matched(boundary: MeshBoundary, parts: Parts, fixed: Mask) -> dict[int, ContactPairing]:
-    """Match pairs that are alike in the user's partners and normals, by number. Collective."""
+def _matched(
+    boundary: MeshBoundary, parts: Parts, fixed: Mask, match: Mask | None = None
+) -> dict[int, ContactPairing]:
+    """Match pairs that are alike in the user's partners and normals, by number. Collective.
+
+    Of which of them the meshes match is found if it is not known.
+    """
     pairs = _joined(boundary, parts)
     contacts, slave, prescribed = pairs.contacts, pairs.slave, None
     how = contacts[0].partners
     if not isinstance(how, NodePartners):
         master = gather_nearby(pairs.master, slave)
-        shared = shared_nodes(pairs, master.nodes)
-        match = np.array([contact.partners is None for contact in contacts])
-        match &= boundary.degree == 1
-        if match.any():
-            match &= meshes_match(slave, master, Nearest().tolerance)
+        if match is None:
+            match = np.array([contact.partners is None for contact in contacts])
+            match &= boundary.degree == 1
+            if match.any():
+                match &= meshes_match(slave, master, Nearest().tolerance)
         if match.any() and not match.all():
             kinds = [
                 {k: part for (k, part), chosen in zip(parts.items(), mask, strict=True) if chosen}
                 for mask in (match, ~match)
             ]
-            first, second = (_matched(boundary, kind, fixed) for kind in kinds)
+            known = match[match], match[~match]
+            first, second = (
+                _matched(boundary, kind, fixed, of_kind)
+                for kind, of_kind in zip(kinds, known, strict=True)
+            )
             return first | second
         how = Nearest() if match.all() else None
     if how is not None:
         found = match_nodes(pairs, how)
     else:
         prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
-        none = np.zeros(0, dtype=np.int64)
+        shared, none = shared_nodes(pairs, master.nodes), np.zeros(0, dtype=np.int64)
         found = match_by_mortar(contacts[0], slave, master, shared, prescribed, none)
     return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
 
