@@ -303,7 +303,7 @@ def test_fibre_block(demo):
 
 
 @pytest.mark.once
-@also_short("4")
+@also_short("3")
 def test_ironing(demo):
     """Friction at its bound and the bulge before the die; the balance of energy."""
     ratio = demo["H"][2:] / demo["N"][2:]

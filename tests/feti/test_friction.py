@@ -239,12 +239,11 @@ def test_forces_in_a_corner(seed):
     assert found.products["total"] <= 3000
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(("bound", "preconditioner"), [(1e-3, "dirichlet"), (0.02, "lumped")])
 def test_nodes_between_two_planes(bound, preconditioner):
     """Four directions of sticking or turning forces in the plane across the groove."""
     system, options = in_a_groove(bound), Options(preconditioner=preconditioner)
-    report = TornSolver(distributed(system, COMM), options).solve().report
+    report = TornSolver(system, options).solve().report
     assert report.energy == pytest.approx(solve_by_cones(system).energy, rel=1e-9)
     # 4000 where the preconditioner does not see forces that only turn against each other
     assert report.products["total"] <= 1000

@@ -17,7 +17,7 @@ def path(shared_folder):
 
 
 def test_run_goes_on(path):
-    mesh = block(COMM)
+    mesh = block(COMM, 6)
     whole = list(run(mesh, path))
     COMM.barrier()
     if COMM.rank == 0:

@@ -26,7 +26,6 @@ from fenics_tfeti.models import neo_hookean
 
 COMM = MPI.COMM_WORLD
 E = 1e6
-ranks = pytest.mark.ranks
 
 
 def rubber(contacts, width=1.0, n=4, dim=2):
@@ -55,7 +54,6 @@ def lid(**more):
 TOP = Plane((0.0, 1.0), (0.0, -1.0))
 
 
-@ranks
 def test_force_and_prescribed_motion_are_inverse():
     """A lid that prescribed motions press and turn, and the loads that these take."""
     pushed = lid(translation=(0.0, -0.05), rotation=-0.05)
@@ -94,8 +92,7 @@ def test_steps_are_cut_where_a_body_would_turn_too_far():
 
 
 @pytest.mark.parametrize(
-    "friction",
-    [pytest.param(None, marks=ranks), pytest.param(Coulomb(0.05), marks=pytest.mark.ranks(2))],
+    "friction", [None, pytest.param(Coulomb(0.05), marks=pytest.mark.ranks(2))]
 )
 def test_plate_tilts_about_two_axes(friction):
     """Prescribed motions and the loads that these take; the rubber slides along the plate."""
@@ -166,7 +163,7 @@ def test_restored_problem_goes_on(tmp_path):
     assert len(again.report.newton) <= len(problem.report.newton)
 
 
-@ranks
+@pytest.mark.ranks(2)
 def test_cells_of_the_mesh():
     """A foot that turns on rubber is a much stiffer one: displacements and pressures."""
     found = []

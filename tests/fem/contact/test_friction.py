@@ -11,7 +11,7 @@ from scenes import scalar_space
 
 from dolfinx.fem import Function
 
-from fenics_tfeti import Coulomb, InputError, Tresca, UnresistedMotion
+from fenics_tfeti import Coulomb, InputError, Tresca
 from fenics_tfeti.io import Box, boxes, displacement_space
 
 COMM = MPI.COMM_WORLD
@@ -106,8 +106,8 @@ def steps(case, comm, law):
     return found
 
 
-SOLVED = [(case, Tresca(0.037)) for case in CASES]
-SOLVED += [("mortar of triangles", Coulomb(0.37))]
+SOLVED = [("ground", Tresca(0.037)), ("mortar of tetrahedra", Tresca(0.037))]
+SOLVED += [("matching", Tresca(0.037)), ("mortar of triangles", Coulomb(0.37))]
 
 
 @pytest.mark.ranks(2)
@@ -133,13 +133,6 @@ def test_solution_does_not_depend_on_ranks(case, law):
 def test_misuse_is_an_error_on_all_ranks(law, message):
     with pytest.raises(InputError, match=message):
         pushed_cube("triangle", 6, 5, friction=law, comm=COMM)
-
-
-@pytest.mark.ranks(2)
-def test_load_that_friction_cannot_hold_is_an_error_on_all_ranks():
-    scene = pushed_cube("triangle", 6, 5, friction=Coulomb(0.25), press=0.1, comm=COMM)
-    with pytest.raises(UnresistedMotion, match=r"which slides .*It would take 1\.2 times"):
-        scene.problem.solve()
 
 
 @pytest.mark.ranks(2)

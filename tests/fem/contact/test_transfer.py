@@ -207,12 +207,3 @@ def test_coarse_mesh_may_be_on_each_rank_as_a_whole():
     name = "ball, hexahedra"
     face, expected = started(name, coarse_alone=True).report.faces[0], started(name).report.faces[0]
     assert face.active == expected.active
-
-
-@pytest.mark.ranks(2)
-def test_own_multipliers_cost_no_second_face():
-    """The exact set: a linear solve, on any number of ranks."""
-    name = "ball, hexahedra"
-    problem, again = started(name), problem_on(COMM, name, 2)
-    again.solve(coarse=problem)
-    assert {face.changed for face in again.report.faces} == {0}
