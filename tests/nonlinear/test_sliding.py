@@ -190,7 +190,7 @@ def crown_between_plates(is_held, friction):
     return scene.problem.results[1].force[1], steps
 
 
-@pytest.mark.parametrize("friction", [None, pytest.param(Coulomb(0.3), marks=pytest.mark.ranks(2))])
+@pytest.mark.parametrize("friction", [None, Coulomb(0.3)])
 def test_body_that_only_contact_holds(friction):
     """It may slide freely between two plates: increments would take it far to either side.
 
