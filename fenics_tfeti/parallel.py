@@ -14,8 +14,9 @@ from typing import Any, TextIO, TypeVar
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from fenics_tfeti.errors import warn_user
 from fenics_tfeti.typing import Array, Numbers, Vector
 
 T = TypeVar("T")
@@ -60,6 +61,13 @@ def print_on_first_rank(comm: MPI.Comm, text: str, file: TextIO | None = None) -
         print(text, file=file, flush=True)
 
 
+def warn_on_first_rank(comm: MPI.Comm, *messages: str) -> None:
+    """Warn the user on rank 0; what a filter makes an error is one on all ranks. Collective."""
+    with raise_collectively(comm):
+        for message in messages if comm.rank == 0 else ():
+            warn_user(message)
+
+
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
     """Return the arrays of all ranks, concatenated in the order of ranks, on all ranks."""
     return np.concatenate(comm.allgather(part))
@@ -89,7 +97,7 @@ def any_rank(comm: MPI.Intracomm, mask: Any) -> bool:
     return bool(comm.allreduce(bool(np.any(mask)), MPI.LOR))
 
 
-def largest_of_ranks(comm: MPI.Intracomm, values: Vector | float) -> float:
+def largest_of_ranks(comm: MPI.Intracomm, values: ArrayLike) -> float:
     """Return the largest of numbers of all ranks, 0 if there is none above. Collective."""
     largest = np.array([np.max(values, initial=0.0)])
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)

@@ -5,22 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.errors import InputError, format_point, warn_user
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
-from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
+from fenics_tfeti.typing import Mask, Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
@@ -119,7 +117,12 @@ def prescribed_values(space: FunctionSpace, bcs: Sequence[Any]) -> Prescribed:
             values[dofs] = new
             condition[dofs] = number
             counts[number] = len(dofs)
-    _warn_of_empty(space.mesh.comm, counts)
+    empty = (
+        f"Dirichlet condition {number} prescribes nothing, no degree of freedom is in it. "
+        "Is there a facet with its tag, or a node at its place?"
+        for number in np.flatnonzero(nodes.comm.allreduce(counts) == 0)
+    )
+    warn_on_first_rank(nodes.comm, *empty)
     unrolled = np.flatnonzero(prescribed)
     return Prescribed(
         nodes.to_global(unrolled // block),
@@ -136,17 +139,6 @@ def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
     owned = (local >= 0) & (local < nodes.owned)
     mask[local[owned], prescribed.components[owned]] = True
     return mask
-
-
-def _warn_of_empty(comm: MPI.Intracomm, counts: Numbers) -> None:
-    """Warn of Dirichlet conditions without degrees of freedom, from their numbers on this rank."""
-    empty = np.flatnonzero(comm.allreduce(counts) == 0)
-    with raise_collectively(comm):
-        for number in empty if comm.rank == 0 else ():
-            warn_user(
-                f"Dirichlet condition {number} prescribes nothing, no degree of freedom is in it. "
-                "Is there a facet with its tag, or a node at its place?"
-            )
 
 
 def _check_values(

@@ -11,13 +11,13 @@ import numpy as np
 
 from dolfinx.fem import Function, FunctionSpace
 
-from fenics_tfeti.errors import format_point, warn_user
+from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.results import RigidBodyResult
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
 from fenics_tfeti.fem.topology import batches, owned_cells
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import warn_on_first_rank
 from fenics_tfeti.typing import Vector
 
 # cells at once
@@ -115,28 +115,26 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     if share.sum() <= _SHARE:
         return False
     worst = int(share.argmax())
-    with raise_collectively(comm):
-        if comm.rank == 0:
-            warn_user(
-                f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
-                f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear "
-                "elasticity and the contact conditions are right for |grad u| much smaller than 1 "
-                "only. Do the units fit, such as E in Pa with lengths in m, or in MPa with mm?"
-            )
+    warn_on_first_rank(
+        comm,
+        f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
+        f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear elasticity and "
+        "the contact conditions are right for |grad u| much smaller than 1 only. Do the units "
+        "fit, such as E in Pa with lengths in m, or in MPa with mm?",
+    )
     return True
 
 
 def warn_of_large_rotations(comm: MPI.Intracomm, bodies: Iterable[RigidBodyResult]) -> bool:
     """Warn, on rank 0, of rigid bodies whose rotation is not small; True if so. Collective."""
     angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
-    large = {name: angle for name, angle in angles.items() if angle > _LARGE}
-    with raise_collectively(comm):
-        for name, angle in large.items() if comm.rank == 0 else ():
-            warn_user(
-                f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move "
-                "along straight lines, and normals stay as they are. geometry=Exact() turns it by "
-                "any angle"
-            )
+    large = [
+        f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move along "
+        "straight lines, and normals stay as they are. geometry=Exact() turns it by any angle"
+        for name, angle in angles.items()
+        if angle > _LARGE
+    ]
+    warn_on_first_rank(comm, *large)
     return bool(large)
 
 

@@ -11,14 +11,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.forms import flat_rows
 from fenics_tfeti.fem.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import warn_on_first_rank
 from fenics_tfeti.typing import Indices, Vector
 
 # Poisson's ratio from which on linear elements are much too stiff
@@ -52,12 +51,11 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
             ", or integrate the volumetric term, lambda div(u) div(v), by one point: "
             "dx(metadata={'quadrature_degree': 0})"
         )
-    with raise_collectively(domain.comm):
-        if domain.comm.rank == 0:
-            warn_user(
-                f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
-                f"{ratio:.4g}: the result is much too stiff. {remedy}"
-            )
+    warn_on_first_rank(
+        domain.comm,
+        f"{bodies.names[body]}: displacements of degree 1 lock at a Poisson's ratio of "
+        f"{ratio:.4g}: the result is much too stiff. {remedy}",
+    )
 
 
 def _samples(forms: PreparedForms, bodies: Bodies) -> Indices:

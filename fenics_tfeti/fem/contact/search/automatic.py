@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import pairwise
 from typing import Any
 
@@ -11,7 +12,6 @@ import numpy as np
 
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
@@ -26,8 +26,10 @@ from fenics_tfeti.parallel import (
     Directory,
     concatenate_ranks,
     first_of_rank,
+    largest_of_ranks,
     raise_collectively,
     send_rows,
+    warn_on_first_rank,
 )
 from fenics_tfeti.typing import Indices, Mask, Numbers
 
@@ -127,15 +129,20 @@ def _is_apart(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> 
     first, second = bodies.part[of_bodies].T
     glued = first == second
     pairs = distinct_rows(concatenate_ranks(comm, np.sort(of_bodies[glued], axis=1)))[0]
-    with raise_collectively(comm):
-        if len(pairs) and comm.rank == 0:
-            names = " and ".join(bodies.names[body] for body in pairs[0])
-            warn_user(
-                f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
-                f"contact, because they are connected through facets: the first {names}. Where "
-                "they may touch, tag their surfaces and add a ContactPair"
-            )
+    if len(pairs):
+        warn_on_first_rank(
+            comm,
+            f"find_contacts: {len(pairs)} pairs of bodies are near each other, but get no "
+            "contact, because they are connected through facets: the first "
+            f"{_joined(bodies, pairs[0])}. Where they may touch, tag their surfaces and add a "
+            "ContactPair",
+        )
     return ~glued
+
+
+def _joined(bodies: Bodies, pair: Iterable[int]) -> str:
+    """Return the names of a pair of bodies."""
+    return " and ".join(bodies.names[body] for body in pair)
 
 
 def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) -> Mask:
@@ -160,40 +167,37 @@ def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) ->
     kept = np.unique(concatenate_ranks(comm, np.unique(pair[may_touch])))
     lost = ~np.isin(pair, kept)
     number = np.unique(concatenate_ranks(comm, np.unique(pair[lost]))).size
-    least, names = opposite.chosen(lost).nearest(comm)
-    with raise_collectively(comm):
-        if number and comm.rank == 0:
-            warn_user(
-                f"find_contacts: {number} pairs of bodies get no contact, because they are "
-                "farther apart than the facets are large where these bodies are nearest to others: "
-                f"the nearest {' and '.join(bodies.names[body] for body in names)}, with a gap of "
-                f"{least:.3g}. Where they may touch, pass "
-                f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * least:.3g})"
-            )
+    least, nearest_pair = opposite.chosen(lost).nearest(comm)
+    if number:
+        warn_on_first_rank(
+            comm,
+            f"find_contacts: {number} pairs of bodies get no contact, because they are "
+            "farther apart than the facets are large where these bodies are nearest to others: "
+            f"the nearest {_joined(bodies, nearest_pair)}, with a gap of {least:.3g}. Where they "
+            "may touch, pass "
+            f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * least:.3g})",
+        )
     return may_touch
 
 
 def _warn_of_gaps(comm: MPI.Intracomm, facets: ExteriorFacets, bodies: Bodies) -> None:
     """Warn that there are no contacts, and say how far apart the nearest bodies are. Collective."""
-    longest = float(edge_lengths(facets.corners).max(initial=0.0))
-    reach = _FAR * float(comm.allreduce(longest, MPI.MAX))
+    reach = _FAR * largest_of_ranks(comm, edge_lengths(facets.corners))
     found = OppositeFacets.find(comm, facets, reach)
     first, second = bodies.part[found.rows[:, :2]].T
     gap, pair = found.chosen(first != second).nearest(comm)
     if pair:
-        names = " and ".join(bodies.names[body] for body in pair)
         advice = (
-            f"The smallest gap is {gap:.3g}, between {names}: where it may close, pass "
-            f"contacts=find_contacts(mesh, cell_tags, distance={1.01 * gap:.3g})"
+            f"The smallest gap is {gap:.3g}, between {_joined(bodies, pair)}: where it may close, "
+            f"pass contacts=find_contacts(mesh, cell_tags, distance={1.01 * gap:.3g})"
         )
     else:
         advice = f"Up to a gap of {reach:.3g} no facet is opposite to one of another body"
-    with raise_collectively(comm):
-        if comm.rank == 0:
-            warn_user(
-                f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is "
-                f"no contact between them. {advice}"
-            )
+    warn_on_first_rank(
+        comm,
+        f"find_contacts: none of {len(bodies.names)} bodies are near each other, there is no "
+        f"contact between them. {advice}",
+    )
 
 
 def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
