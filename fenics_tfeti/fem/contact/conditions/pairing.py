@@ -41,13 +41,6 @@ class Terms:
         nodes = np.stack(ends, axis=1).ravel()
         return Terms(offsets, nodes, weights, np.ones(slave.size, dtype=np.int64))
 
-    @staticmethod
-    def concatenate(parts: Sequence[Terms]) -> Terms:
-        """Return the rows of all parts, one part after the other."""
-        number = np.concatenate([np.diff(part.offsets) for part in parts])
-        columns = zip(*((p.nodes, p.weights, p.slaves) for p in parts), strict=True)
-        return Terms(np.append(0, np.cumsum(number)), *map(np.concatenate, columns))
-
     def split(self, ends: Numbers) -> list[Terms]:
         """Return consecutive rows, from each of the ends up to the next."""
         parts = []
@@ -90,8 +83,8 @@ class Terms:
         """Return the weighted sums (k, q) of values (t, q) at the terms' nodes, over the scale."""
         return self._sums(self.weights[:, None] * values) / self.scale[:, None]
 
-    def rows(self, normal: Vector, gap: Vector, contact: Numbers | int) -> ContactRows:
-        """Return conditions of contacts (k,) along normals, with gaps of mean displacements [m]."""
+    def rows(self, normal: Vector, gap: Vector, contact: int) -> ContactRows:
+        """Return conditions of a contact along normals, with gaps of mean displacements [m]."""
         return ContactRows(
             self.offsets,
             self.nodes,
@@ -238,13 +231,9 @@ def contact_rows(
     pairings: Sequence[ContactPairing], gdim: int, numbers: Sequence[int] | None = None
 ) -> ContactRows:
     """Return the conditions of all contacts, by default numbered in their order, one by one."""
-    if not pairings:
-        return ContactRows.none(gdim)
-    terms = Terms.concatenate([pairing.terms for pairing in pairings])
-    normal = np.concatenate([pairing.normal for pairing in pairings])
-    gap = np.concatenate([pairing.gap for pairing in pairings])
     contacts = range(len(pairings)) if numbers is None else numbers
-    return terms.rows(normal, gap, np.repeat(contacts, [p.gap.size for p in pairings]))
+    rows = [p.terms.rows(p.normal, p.gap, k) for p, k in zip(pairings, contacts, strict=True)]
+    return ContactRows.concatenate([ContactRows.none(gdim), *rows])
 
 
 def row_values(
