@@ -296,7 +296,7 @@ class ContactSet:
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
-        bodies = self.bodies.placed_as(other.bodies)
+        bodies = self.bodies.restored(other.bodies.saved())
         return replace(self, contacts=contacts, bodies=bodies).with_friction()
 
     def dofs(self, nodes: Numbers) -> Numbers:

@@ -191,14 +191,6 @@ class RigidBodies:
         frames = [f.moved(motion) for f, motion in zip(self.frames, motions, strict=True)]
         return replace(self, frames=frames)
 
-    def placed_as(self, other: RigidBodies) -> RigidBodies:
-        """Return these bodies where the other ones are, which are the same."""
-        frames = [
-            replace(frame, motion=there.motion, turned=there.turned)
-            for frame, there in zip(self.frames, other.frames, strict=True)
-        ]
-        return replace(self, frames=frames)
-
     def subdomains(self, from_here: bool = False) -> list[Subdomain]:
         """Return the subdomains of this rank, with their loads now.
 
