@@ -77,7 +77,7 @@ class ReferenceCell:
         return (0, 1, 3, 2) if self.name == "quadrilateral" else tuple(range(self.vertices))
 
     def around(self, degree: int) -> Vertices:
-        """Return the nodes of a cell of two dimensions, in the order of `facet_nodes`."""
+        """Return the nodes of a cell of two dimensions or less, in the order of `facet_nodes`."""
         return self.cycle if degree == 1 else self._with_midpoints(self.cycle, 0)
 
     def _with_midpoints(self, cycle: Vertices, number: int) -> Vertices:
@@ -134,6 +134,11 @@ def quadrature(name: str, degree: int) -> tuple[Vector, Vector]:
 def lagrange_points(name: str, degree: int) -> Vector:
     """Return the nodes (n, dim) of the Lagrange element of degree 1 or 2 on a cell."""
     return np.asarray(_lagrange_element(name, degree).points)
+
+
+def shape_values(name: str, degree: int, points: Vector) -> Vector:
+    """Return the values (k, n) of the n shape functions of degree 1 or 2 at k points."""
+    return np.asarray(_lagrange_element(name, degree).tabulate(0, points)[0, :, :, 0])
 
 
 def shape_gradients(name: str, degree: int, points: Vector) -> Vector:

@@ -22,8 +22,8 @@ _PIECES = {
     9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
 }
 
-# The reference coordinates of its nodes, those of degree 1 first.
-_PLACES = {
+# The reference coordinates of its nodes.
+REFERENCE_NODES = {
     3: ((0.0,), (1.0,), (0.5,)),
     6: ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5)),
     9: (
@@ -114,7 +114,7 @@ class Facets:
         per_facet, t = self.per_facet, self.nodes.shape[1]
         if per_facet == 1:
             return xi
-        corners = np.array(_PLACES[t])[np.array(_PIECES[t])]
+        corners = np.array(REFERENCE_NODES[t])[np.array(_PIECES[t])]
         v = corners.shape[1]
         return np.matmul(shape_functions(xi, v), corners[piece % per_facet])
 
@@ -235,12 +235,6 @@ def shape_functions(xi: Vector, t: int) -> Vector:
     ends = [(0, 1)] if dim == 1 else [(0, 1), (1, 2), (2, 0)]
     middle = [4.0 * linear[..., i] * linear[..., j] for i, j in ends]
     return np.concatenate([linear * (2.0 * linear - 1.0), np.stack(middle, axis=-1)], axis=-1)
-
-
-def reference_nodes(t: int, dim: int) -> Vector:
-    """Return the reference coordinates (t, dim) of the nodes of facets with t nodes."""
-    of_degree_2 = 3 if dim == 1 else 6 if t in (3, 6) else 9
-    return np.array(_PLACES[of_degree_2])[:t]
 
 
 def corner_functions(xi: Vector, t: int) -> Vector:

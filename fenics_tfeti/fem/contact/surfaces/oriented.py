@@ -11,14 +11,14 @@ from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import (
-    centres,
-    corner_functions,
-    cross,
-    facet_normals,
-    reference_nodes,
+from fenics_tfeti.fem.contact.mortar.facets import centres, cross, facet_normals
+from fenics_tfeti.fem.reference_cells import (
+    ReferenceCell,
+    quadrature,
+    reference_cell,
+    shape_gradients,
+    shape_values,
 )
-from fenics_tfeti.fem.reference_cells import ReferenceCell, quadrature
 from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
@@ -90,12 +90,12 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
         return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
     if t == 4 and weight is None:
         return _bilinear_normals(x)
-    cell = "interval" if dim == 1 else "triangle" if t in (3, 6) else "quadrilateral"
-    xi, factors = quadrature(cell, 4 if cell == "triangle" else 5)
-    if cell == "quadrilateral":
-        xi, factors = 2.0 * xi - 1.0, 4.0 * factors
-    functions = corner_functions(xi, t)
-    tangents = [np.einsum("qt,mtd->mqd", part, x) for part in _derivatives(xi, t)]
+    name = "interval" if dim == 1 else "triangle" if t in (3, 6) else "quadrilateral"
+    cell, degree = reference_cell(name), 1 if t in (dim + 1, 4) else 2
+    xi, factors = quadrature(name, 4 if name == "triangle" else 5)
+    functions = shape_values(name, 1, xi)[:, cell.around(1)]
+    derivatives = shape_gradients(name, degree, xi)[:, :, cell.around(degree)]
+    tangents = [np.einsum("qt,mtd->mqd", part, x) for part in derivatives]
     if dim == 1:
         normal = np.stack([tangents[0][..., 1], -tangents[0][..., 0]], axis=2)
     else:
@@ -115,19 +115,6 @@ def _bilinear_normals(x: Vector) -> Vector:
     parts = np.array([cross(b, c), cross(b, d), cross(d, c)])
     # the integrals of 1, r and s times the shape functions
     return np.einsum("kv,kmd->mvd", np.array([np.ones(4), *(signs[:2] / 3.0)]), parts)
-
-
-def _derivatives(xi: Vector, t: int) -> Vector:
-    """Return the derivatives (dim, q, t) of the shape functions of `Facets` at points (q, dim)."""
-    dim = xi.shape[1]
-    degree = 1 if t in (dim + 1, 4) else 2
-    powers = np.array(list(np.ndindex(*(degree + 1,) * dim)))
-    if dim == 2 and t in (3, 6):
-        powers = powers[powers.sum(axis=1) <= degree]
-    coefficients = np.linalg.inv(np.prod(reference_nodes(t, dim)[:, None, :] ** powers, axis=2))
-    lowered: Numbers = powers - np.eye(dim, dtype=int)[:, None] * (powers > 0)
-    monomials = np.prod(xi[:, None, :] ** lowered[:, None], axis=3)
-    return (powers.T[:, None] * monomials) @ coefficients
 
 
 def chord_heights(
