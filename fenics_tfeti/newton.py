@@ -7,8 +7,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 
 from dolfinx.fem import Function
@@ -23,18 +21,11 @@ from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Force
 from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.fem.torn_problem import TornProblem
-from fenics_tfeti.feti import (
-    Prescribed,
-    Timer,
-    TornSolution,
-    TornSolver,
-    TornSystem,
-    prepare_tangents,
-)
+from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.options import NewtonOptions
-from fenics_tfeti.parallel import print_on_first_rank
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
+from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
 
@@ -107,10 +98,6 @@ class NewtonState:
         """The rigid bodies where they are."""
         return self.rows.conditions.bodies
 
-    def pressing(self) -> Mask:
-        """Tell which nodes (s,) of the slaves' surfaces press."""
-        return self.multipliers.normal > 0.0
-
 
 @dataclass(frozen=True)
 class LoadStep:
@@ -118,7 +105,6 @@ class LoadStep:
 
     torn: TornProblem
     u: Function
-    prescribed: Prescribed
     origin: SlipOrigin
     gradients: CellGradients
     shear_over_bulk: float  # mu / kappa of the least compressible material
@@ -148,13 +134,10 @@ class LoadStep:
         rows = DeformedRows.of(self.torn.undeformed, self.u, bodies, self.origin, last)
         if not isinstance(multipliers, Multipliers):
             multipliers = Multipliers.from_forces(rows, multipliers)
-        internal = self.torn.internal_force()
-        nodes = self.torn.nodes
-        if not nodes.comm.allreduce(bool(np.isfinite(internal).all()), MPI.LAND):
+        internal = -self.torn.torn.load()
+        if any_rank(self.torn.nodes.comm, ~np.isfinite(internal)):
             raise NotConverged("the residual F is NaN or infinite")
-        equilibrium = Equilibrium.of(
-            internal, rows, multipliers, self.prescribed, displacement, scale
-        )
+        equilibrium = Equilibrium.of(internal, rows, multipliers, displacement, scale)
         return NewtonState(displacement, rows, multipliers, equilibrium)
 
 
@@ -193,7 +176,9 @@ class NewtonIteration:
 
     def _rounding(self) -> float:
         """Return the stiffness [N/m] that rounding looks like, over the tolerance. Collective."""
-        stiffness = self._load_step.torn.largest_stiffness()
+        torn = self._load_step.torn
+        entries = [np.abs(s.stiffness.data).max() for s in torn.torn.assemble()]
+        stiffness = largest_of_ranks(torn.nodes.comm, entries)
         return COORDINATE_ROUNDING * stiffness / self._options.newton_rtol
 
     def _report(self, monitor: Monitor | None) -> None:
@@ -212,7 +197,7 @@ class NewtonIteration:
         """Return the state after one step."""
         self.solution = solution = self._solve_linearised(state, monitor)
         multipliers = Multipliers.of(state.rows, solution)
-        changed = (multipliers.normal > 0.0) != state.pressing()
+        changed = (multipliers.normal > 0.0) != (state.multipliers.normal > 0.0)
         self._alternating = changed & self._changed if self._changed.size else changed & False
         self._changed = changed
         bodies, start = state.bodies, state.bodies.motions
@@ -282,7 +267,7 @@ class NewtonIteration:
 
     def _mixed(self, state: NewtonState, step: Iterate) -> Iterate | None:
         """Return the step combined with earlier ones near the end, while the same nodes press."""
-        if self._load_step.torn.nodes.comm.allreduce(bool(self._changed.any()), MPI.LOR):
+        if any_rank(self._load_step.torn.nodes.comm, self._changed):
             self._mixing.forget()
         if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
             return None

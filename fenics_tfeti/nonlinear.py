@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from mpi4py import MPI
-
 import numpy as np
 
 import ufl
@@ -30,6 +28,7 @@ from fenics_tfeti.feti.local.moduli import compressibility
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.report import ContactReport
 
 
@@ -134,7 +133,9 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             displacement=u,
         )
         self._gradients = CellGradients(self.space)
-        self._shear_over_bulk = self._smallest_shear_over_bulk()
+        ratios = list(compressibility(self._torn.torn.subdomains).values())
+        largest = largest_of_ranks(self.space.mesh.comm, ratios) or 1.0
+        self._shear_over_bulk = 1.0 / largest  # mu / kappa of the least compressible subdomain
 
     def solve(
         self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
@@ -180,11 +181,6 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._view()
         return self.u
 
-    def _smallest_shear_over_bulk(self) -> float:
-        """Return mu / kappa of the least compressible subdomain. Collective."""
-        ratio = max(compressibility(self._torn.torn.subdomains).values(), default=1.0)
-        return 1.0 / float(self.space.mesh.comm.allreduce(ratio, MPI.MAX))
-
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(self.u)
 
@@ -196,12 +192,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._refresh()
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
-            self._torn,
-            self.u,
-            self._torn.undeformed.prescribed,
-            self._step.origin,
-            self._gradients,
-            self._shear_over_bulk,
+            self._torn, self.u, self._step.origin, self._gradients, self._shear_over_bulk
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from mpi4py import MPI
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -36,7 +34,6 @@ from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_con
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
-from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -124,8 +121,7 @@ class TornProblem:
         """Return rigid bodies with the present loads on their cells. Collective."""
         if not self.data.rigid:
             return bodies
-        loads = self._search.rigid.resultants(self.torn.rigid_load(), bodies)
-        return bodies.loaded(loads)
+        return bodies.loaded(self._search.rigid.resultants(self.torn.load(rigid=True), bodies))
 
     def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
         """Fill a displacement at nodes of rigid bodies, of small rotations or any. Collective."""
@@ -190,15 +186,6 @@ class TornProblem:
                 contacts = [found.contact for found in rows.conditions.contacts]
                 self._contact_stiffness = ContactStiffness(u, contacts, self.data.compiler)
         return self._contact_stiffness.matrices(self.torn, rows.turning_force(multipliers))
-
-    def internal_force(self) -> Vector:
-        """Return F(u) (nodes, gdim) at the nodes that this rank owns [N]. Collective."""
-        return np.negative(self.torn.load())
-
-    def largest_stiffness(self) -> float:
-        """Return the largest entry of the subdomains' matrices [N/m]. Collective."""
-        entries = [np.abs(s.stiffness.data).max() for s in self.torn.assemble()]
-        return float(self.space.mesh.comm.allreduce(max(entries, default=0.0), MPI.MAX))
 
 
 def _check_rigid_tags(space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody]) -> None:

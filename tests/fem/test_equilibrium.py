@@ -74,13 +74,13 @@ def test_mixed_pressures_are_not_negative():
 def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scale, force):
     """The obstacle's, the supports', the least one, that of the displacement, the residual."""
     problem, rows = blocks
-    conditions, nodes, given = problem._torn.undeformed, rows.surface_nodes, Multipliers.none(rows)
+    nodes, given = rows.surface_nodes, Multipliers.none(rows)
     given.normal[OBSTACLE] = pressure
     forces = -rows.force(given)[0]
     forces[nodes[BODY], 0] = reaction
     forces[nodes[0]] += 0.15, -0.2
     u = np.full(forces.size, -0.2)
-    result = Equilibrium.of(forces, rows, given, conditions.prescribed, u, scale)
+    result = Equilibrium.of(forces, rows, given, u, scale)
     assert result.force == pytest.approx(force)
     assert result.residual == pytest.approx(0.25 / force)
     assert result.separation == pytest.approx(0.5 if pressure else 0.0)
@@ -89,10 +89,10 @@ def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scal
 
 def test_penetration_before_anything_moves_is_infinite(blocks):
     """Relative to the displacement, and without a warning of NumPy."""
-    problem, rows = blocks
-    given, prescribed = Multipliers.none(rows), problem._torn.undeformed.prescribed
+    _, rows = blocks
+    given = Multipliers.none(rows)
     overlapping = replace(rows, contacts=replace(rows.contacts, gap=np.full(9, -10.0)))
     u = np.zeros_like(rows.force(given)[0])
     with np.errstate(all="raise"):
-        result = Equilibrium.of(u, overlapping, given, prescribed, u, ForceScale())
+        result = Equilibrium.of(u, overlapping, given, u, ForceScale())
     assert result.penetration == np.inf

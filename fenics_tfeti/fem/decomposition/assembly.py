@@ -254,18 +254,14 @@ class TornMesh:
         with self._timer.phase("assembly"):
             return [forms.stiffness(part) for part in self._parts]
 
-    def load(self, forms: PreparedForms | None = None) -> Vector:
-        """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective."""
-        return self._load(forms or self.forms, self._parts)
+    def load(self, forms: PreparedForms | None = None, rigid: bool = False) -> Vector:
+        """Return the load (nodes, gdim) at the nodes that this rank owns now [N]. Collective.
 
-    def rigid_load(self) -> Vector:
-        """Return the load (nodes, gdim) on the cells of rigid bodies, as of `load`. Collective."""
-        return self._load(self.forms, self._rigid_parts)
-
-    def _load(self, forms: PreparedForms, parts: Sequence[Part]) -> Vector:
-        nodes = NodeMap(self._space)
+        It is that on the subdomains, or on the cells of rigid bodies.
+        """
+        nodes, parts = NodeMap(self._space), self._rigid_parts if rigid else self._parts
         with self._timer.phase("assembly"):
-            loads = forms.loads(parts)
+            loads = (forms or self.forms).loads(parts)
             at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in parts)]
             values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
             return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)

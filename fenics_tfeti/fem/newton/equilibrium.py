@@ -23,7 +23,7 @@ from fenics_tfeti.fem.displacement import owned_values, prescribed_components
 from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution
-from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed
+from fenics_tfeti.feti.system import ContactRows, Friction
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -203,7 +203,6 @@ class Equilibrium:
         internal: Vector,
         rows: DeformedRows,
         multipliers: Multipliers,
-        prescribed: Prescribed,
         displacement: Vector,
         scale: ForceScale,
     ) -> Equilibrium:
@@ -211,7 +210,7 @@ class Equilibrium:
 
         The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
         """
-        nodes = rows.conditions.boundary.nodes
+        nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
         contact, on_bodies = rows.force(multipliers)
         free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
         r = np.where(free, internal + contact, 0.0)
