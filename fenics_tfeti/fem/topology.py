@@ -6,6 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
 from dolfinx.fem import FunctionSpace
 from dolfinx.mesh import Mesh, exterior_facet_indices
@@ -127,6 +129,12 @@ def exterior_facets(domain: Mesh) -> Mask:
 def exterior_cell_facets(domain: Mesh) -> Mask:
     """Tell which facets of each owned cell are on the boundary of the mesh."""
     return exterior_facets(domain)[cell_facets(domain)[: owned_cells(domain)]]
+
+
+def connected_labels(pairs: Numbers, size: int) -> Numbers:
+    """Return the connected component of each of `size` labels, which pairs (p, 2) join."""
+    graph = sp.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
+    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def distinct_rows(rows: Numbers) -> tuple[Numbers, Numbers]:

@@ -19,6 +19,7 @@ from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import (
     body_names,
     cell_facets,
+    connected_labels,
     global_numbers,
     owned_cells,
     tags_of_cells,
@@ -109,8 +110,7 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
     keys, label, tag = np.stack(rows)[:, np.argsort(rows[0])]
     joined = (keys[1:] == keys[:-1]) & (tag[1:] == tag[:-1])
     edges = concatenate_ranks(comm, np.unique([label[:-1][joined], label[1:][joined]], axis=1).T)
-    graph = sp.csr_matrix((np.ones(len(edges)), tuple(edges.T)), shape=(total, total))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
+    return connected_labels(edges, total)
 
 
 def _bounding_boxes(

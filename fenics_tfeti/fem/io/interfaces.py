@@ -15,15 +15,20 @@ from dataclasses import dataclass, replace
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.topology import NO_TAG, body_names, dense_tags, distinct_rows, owned_cells
+from fenics_tfeti.fem.topology import (
+    NO_TAG,
+    body_names,
+    connected_labels,
+    dense_tags,
+    distinct_rows,
+    owned_cells,
+)
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -147,25 +152,16 @@ def _gather(tagged: TaggedMesh) -> WholeMesh | None:
     )
 
 
-@dataclass(frozen=True)
-class _Opening:
-    """An interface with numbers in place of names."""
-
-    slave: int
-    master: int
-    slave_tag: int
-    master_tag: int
-    facets: int | None
-
-    def __str__(self) -> str:
-        where = "" if self.facets is None else f" with tag {self.facets}"
-        return f"facets{where} between the bodies {self.slave} and {self.master}"
+def _label(opening: Interface) -> str:
+    """Return how messages call the facets of an interface."""
+    where = "" if opening.facets is None else f" with tag {opening.facets}"
+    return f"facets{where} between the bodies {opening.slave} and {opening.master}"
 
 
 def _openings(
     whole: WholeMesh, interfaces: Sequence[Interface]
-) -> tuple[list[_Opening], dict[str, int]]:
-    """Replace names by tags; also return all names."""
+) -> tuple[list[Interface], dict[str, int]]:
+    """Return interfaces with tags in place of names, and all names."""
     cell_tags, facet_tags = (
         tags[tags != NO_TAG] for tags in map(np.unique, (whole.cell_tag, whole.facet_tag))
     )
@@ -188,7 +184,7 @@ def _openings(
     for i in interfaces:
         slave, master = (_tag(t, names, cell_tags, "cell") for t in (i.slave, i.master))
         facets = None if i.facets is None else _tag(i.facets, names, facet_tags, "facet")
-        opening = _Opening(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
+        opening = Interface(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
         if slave == master and facets is None:
             raise InputError(
                 f"{i}: slave and master are the same body; name the facets of a plane cut, or tag "
@@ -209,7 +205,7 @@ def _tag(tag: int | str, names: Mapping[str, int], existing: Numbers, kind: str)
     return number
 
 
-def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[_Opening]) -> Numbers:
+def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[Interface]) -> Numbers:
     """Return the number of the interface that each facet (m, f) of a cell is in; -1 for none."""
     flat, cell_tag = facets.ravel(), np.repeat(whole.cell_tag, facets.shape[1])
     order, count = np.lexsort((cell_tag, flat)), np.bincount(flat)
@@ -218,23 +214,25 @@ def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[_Openin
     facet_tag = whole.facet_tag.ravel()[order[end - 1]]
     opened = np.full(count.size, -1, dtype=np.int64)
     for k, opening in enumerate(openings):
-        lower, upper = sorted((opening.slave, opening.master))
-        selected = (low == lower) & (high == upper) & (count == 2)
+        ends = np.sort([opening.slave, opening.master])
+        selected = (low == ends[0]) & (high == ends[1]) & (count == 2)
         if opening.facets is not None:
             selected &= facet_tag == opening.facets
         if not selected.any():
             raise InputError(
-                f"there are no {opening}: they do not touch, have nodes of their own already, or "
-                "the tag is on other facets"
+                f"there are no {_label(opening)}: they do not touch, have nodes of their own "
+                "already, or the tag is on other facets"
             )
         if repeated := np.count_nonzero(opened[selected] >= 0):
-            first = openings[opened[selected].max()]
-            raise InputError(f"{repeated} of the {opening} are in two interfaces, also in: {first}")
+            first = _label(openings[opened[selected].max()])
+            raise InputError(
+                f"{repeated} of the {_label(opening)} are in two interfaces, also in: {first}"
+            )
         opened[selected] = k
     return opened[facets]
 
 
-def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[_Opening]) -> Numbers:
+def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[Interface]) -> Numbers:
     """Return the tags of the facets (m, f) after the split; the new ones are on no others."""
     facet_tag = whole.facet_tag.copy()
     new = [tag for o in openings for tag in (o.slave_tag, o.master_tag)]
@@ -254,7 +252,7 @@ def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[_Openi
     return facet_tag
 
 
-def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Opening) -> Mask:
+def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: Interface) -> Mask:
     """Tell which cells are below facets, nearly in a plane whose normal's largest part is up."""
     x, nodes = whole.x, whole.nodes[cell]
     corners = np.array(whole.kind.facet_nodes(1))[facet]
@@ -268,9 +266,9 @@ def _on_first_side(whole: WholeMesh, cell: Numbers, facet: Numbers, opening: _Op
     cosine = normal @ up / np.linalg.norm(normal, axis=1)
     if bad := first_wrong(MPI.COMM_SELF, np.abs(cosine) < 0.5, points.mean(axis=1)):
         raise InputError(
-            f"{bad.number} of the {opening} are far from the plane of the others, the first around "
-            f"{bad.place}: tag the cells on one side of the cut differently, then the sides can be "
-            "told apart"
+            f"{bad.number} of the {_label(opening)} are far from the plane of the others, the "
+            f"first around {bad.place}: tag the cells on one side of the cut differently, then the "
+            "sides can be told apart"
         )
     return cosine > 0.0
 
@@ -318,9 +316,7 @@ def _groups_at_vertices(whole: WholeMesh, facets: Numbers, opened: Numbers, spli
     vertex = corners[facet, k]
     joint = distinct_rows(np.column_stack([facets[cell, facet], whole.nodes[cell, vertex]]))[1]
     size = count + int(joint.max(initial=-1)) + 1
-    ends = entry[cell, vertex], count + joint
-    graph = sp.coo_matrix((np.ones(joint.size), ends), (size, size))
-    return connected_components(graph, directed=False)[1][:count]
+    return connected_labels(np.column_stack([entry[cell, vertex], count + joint]), size)[:count]
 
 
 def _copy_nodes(nodes: Numbers, chosen: Mask, group: Numbers, x: Vector) -> Vector:

@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
 from dolfinx.mesh import Mesh
 
@@ -16,7 +14,12 @@ from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.topology import cell_facets, distinct_rows, exterior_cell_facets
+from fenics_tfeti.fem.topology import (
+    cell_facets,
+    connected_labels,
+    distinct_rows,
+    exterior_cell_facets,
+)
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
@@ -57,7 +60,7 @@ class ExteriorFacets:
         facet = np.repeat(np.arange(self.number.size), v)
         keys = np.column_stack([self.body[facet], edges])
         normal = unit(facet_normals(self.corners))[facet]
-        part = _components(_smooth_pairs(keys, normal, facet), self.number.size)
+        part = connected_labels(_smooth_pairs(keys, normal, facet), self.number.size)
         if comm.size == 1:
             return part
         # parts of faces on this rank, numbered over all ranks, then joined through their edges
@@ -65,7 +68,7 @@ class ExteriorFacets:
         directory = Directory(comm, np.unique(edges[:, 0]))
         _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
         joined = distinct_rows(_smooth_pairs(*columns))[0]
-        return _components(concatenate_ranks(comm, joined), total)[first + part]
+        return connected_labels(concatenate_ranks(comm, joined), total)[first + part]
 
 
 def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
@@ -76,9 +79,3 @@ def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
     smooth = np.sum(normal[1:] * normal[:-1], axis=1) > least_cosine
     meet = (keys[1:] == keys[:-1]).all(axis=1) & smooth & (label[1:] != label[:-1])
     return np.column_stack([label[:-1][meet], label[1:][meet]])
-
-
-def _components(pairs: Numbers, size: int) -> Numbers:
-    """Return the connected component of each of `size` labels."""
-    graph = sp.csr_matrix((np.ones(len(pairs)), tuple(pairs.T)), shape=(size, size))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
