@@ -20,6 +20,7 @@ from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.surfaces.tagged import as_ufl_weight
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
+from fenics_tfeti.fem.io.fields import with_third_direction
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import owned_cells
 from fenics_tfeti.parallel import raise_collectively
@@ -49,7 +50,7 @@ def axisymmetric_strain(u: Any) -> Any:
     """
     r = ufl.SpatialCoordinate(u.ufl_function_space().ufl_domain())[0]
     e = ufl.sym(ufl.grad(u))
-    return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
+    return with_third_direction(e, u[0] / r)
 
 
 def _lame(E: Any, nu: Any) -> tuple[Any, Any]:
@@ -159,10 +160,7 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
         dim = u.ufl_shape[0]
         F = ufl.Identity(dim) + ufl.grad(u)
         left, J = F * F.T, ufl.det(F)
-        if dim == 2:
-            left = ufl.as_tensor(
-                [[left[0, 0], left[0, 1], 0], [left[1, 0], left[1, 1], 0], [0, 0, 1]]
-            )
+        left = with_third_direction(left, 1) if dim == 2 else left
         identity = ufl.Identity(3)
         return (mu * (left - identity) + lmbda * ufl.ln(J) * identity) / J
 

@@ -69,15 +69,18 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     if stress.ufl_shape == (2, 2):
         # a Constant: for each number in the expression, code would be compiled anew
         ratio = Constant(mesh, float(poisson_ratio or 0.0))
-        normal = ratio * ufl.tr(stress)
-        stress = ufl.as_tensor(
-            [[stress[0, 0], stress[0, 1], 0], [stress[1, 0], stress[1, 1], 0], [0, 0, normal]]
-        )
+        stress = with_third_direction(stress, ratio * ufl.tr(stress))
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)
     result = Function(constants, name="von_mises_stress")
     _compat.interpolate_expression(ufl.sqrt(3 / 2 * ufl.inner(deviator, deviator)), result)
     return result
+
+
+def with_third_direction(plane: Any, value: Any) -> Any:
+    """Return a tensor, 3 x 3, with a part in a plane, 2 x 2, and a value normal to it."""
+    (a, b), (c, d) = ((plane[i, 0], plane[i, 1]) for i in (0, 1))
+    return ufl.as_tensor([[a, b, 0], [c, d, 0], [0, 0, value]])
 
 
 def write_fields(
