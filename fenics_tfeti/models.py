@@ -253,7 +253,7 @@ def redistributed_density(
     density = fem.Function(_compat.lagrange_space(mesh, 0, discontinuous=True))
     q, dx = ufl.TestFunction(density.function_space), ufl.Measure("dx", domain=mesh)
     dofs = _compat.cell_dofs(density.function_space)[:cells, 0]
-    with _compat.quiet_compiler():
+    with _compat.compiling():
         forms = [fem.form(factor * weight * q * dx) for factor in (rho, 1.0)]
     mass, size = (fem.assemble_vector(form).array[dofs] for form in forms)
     touching = [contact for contact in as_contacts(contacts) if isinstance(contact, Contact)]

@@ -44,36 +44,24 @@ def version() -> str:
 
 
 @contextmanager
-def quiet_compiler() -> Iterator[None]:
-    """Suppress the command lines that setuptools logs while a form or an element is compiled.
+def compiling(functions: Iterable[Any] = ()) -> Iterator[None]:
+    """Suppress logged command lines, and give functions names that are identifiers.
 
-    - 0.5.2 asks setuptools to log them as INFO of the root logger, and has given that logger a
-      handler when ``ffcx`` was imported;
-    - 0.9 to 0.11 write nothing.
+    - 0.5.2 asks setuptools to log command lines as INFO of the root logger, and has given that
+      logger a handler when ``ffcx`` was imported; it makes names in C of a function's name, which
+      may have spaces;
+    - 0.9 to 0.11 write nothing, and do not use the names.
 
     Warnings and errors of setuptools are logged, and what the compiler writes is not touched.
     """
-    root = logging.getLogger()
+    root, names = logging.getLogger(), [(w, w.name) for w in functions if not w.name.isidentifier()]
     root.addFilter(_is_no_command_line)
-    try:
-        yield
-    finally:
-        root.removeFilter(_is_no_command_line)
-
-
-@contextmanager
-def identifiers_as_names(functions: Iterable[Any]) -> Iterator[None]:
-    """Give functions names that are identifiers while code is generated from them.
-
-    - 0.5.2 makes names in C of a function's name, which may have spaces;
-    - 0.9 to 0.11 do not use it.
-    """
-    names = [(w, w.name) for w in functions if not w.name.isidentifier()]
     for number, (w, _) in enumerate(names):
         w.name = f"renamed_{number}"
     try:
         yield
     finally:
+        root.removeFilter(_is_no_command_line)
         for w, name in names:
             w.name = name
 
@@ -106,7 +94,7 @@ def lagrange_space(
     - 0.9 to 0.11 have ``functionspace`` for (family, degree, shape).
     """
     family = "DG" if discontinuous else "Lagrange"
-    with quiet_compiler():
+    with compiling():
         if hasattr(fem, "functionspace"):
             shape = ((components,),) if components else ()
             return fem.functionspace(domain, (family, degree, *shape))
@@ -310,7 +298,7 @@ class CompiledForm:
         if self._new:
             form_options = {"scalar_type": dolfinx.default_scalar_type, **form_options}
         jit_options = dict(compiler.jit_options or {})
-        with quiet_compiler(), identifiers_as_names(form.coefficients()):
+        with compiling(form.coefficients()):
             compiled = compile_form(comm, form, form_options, jit_options)
         self._ufcx, self._module = (
             (compiled.ufcx_form, compiled.module) if self._new else compiled[:2]
@@ -410,7 +398,7 @@ def distributed_mesh(
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
         one_process = {"partitioner": _to_one_process} if comm.size == 1 else {}
         graph = cpp.graph.AdjacencyList_int64(np.asarray(cells, dtype=np.int64))
-        with quiet_compiler():
+        with compiling():
             return mesh.create_mesh(comm, graph, points, domain=domain, **one_process)
     import basix.ufl
 
@@ -452,7 +440,7 @@ def interpolate_expression(expression: Any, function: Any) -> None:
     """
     points = function.function_space.element.interpolation_points
     points = points() if callable(points) else points
-    with quiet_compiler(), identifiers_as_names(extract_coefficients(expression)):
+    with compiling(extract_coefficients(expression)):
         compiled = fem.Expression(expression, points)
     function.interpolate(compiled)
 
