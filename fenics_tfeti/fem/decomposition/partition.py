@@ -35,14 +35,13 @@ def split_into_subdomains(
     bodies: Bodies,
     unknowns: int,
     partitioner: Partitioner = "auto",
-    many_cells: int = MANY_CELLS,
 ) -> list[Indices]:
     """Split this rank's cells, body by body, into connected subdomains of about so many unknowns.
 
     "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
     cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
-    bisects `many_cells` or more of a body that planes do not cut into more parts than intended, and
-    leaves all else to SCOTCH. Bodies that are images of each other are cut equally.
+    bisects bodies of many cells that planes do not cut into more parts than intended, and leaves
+    all else to SCOTCH. Bodies that are images of each other are cut equally.
     """
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
@@ -57,7 +56,7 @@ def split_into_subdomains(
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            label = _cut(space.mesh, cells, graph, count, unknowns / block, partitioner, many_cells)
+            label = _cut(space.mesh, cells, graph, count, unknowns / block, partitioner)
             if body.shape is not None:
                 cuts[body.shape] = label
         subdomains += [cells[group] for group in groups(label)]
@@ -71,7 +70,6 @@ def _cut(
     count: int,
     nodes: float,
     partitioner: Partitioner,
-    many_cells: int,
 ) -> Numbers:
     """Return the connected part of each cell, of so many parts or of so many nodes."""
     points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
@@ -79,7 +77,7 @@ def _cut(
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
-    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= many_cells):
+    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= MANY_CELLS):
         # by corners: faster than sums of short rows
         midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
         label = bisect(graph, midpoints, count)

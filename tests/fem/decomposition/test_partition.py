@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 
+from fenics_tfeti.fem.decomposition import partition
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
@@ -16,9 +17,9 @@ def cube(n, cell="hexahedron"):
     return boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (n, n, n))], cell).mesh
 
 
-def split(mesh, unknowns, *partitioner, **many):
+def split(mesh, unknowns, *partitioner):
     space = displacement_space(mesh)
-    return split_into_subdomains(space, find_bodies(mesh, None), unknowns, *partitioner, **many)
+    return split_into_subdomains(space, find_bodies(mesh, None), unknowns, *partitioner)
 
 
 def test_blocks_are_equal():
@@ -46,18 +47,20 @@ def same(one, other):
     return len(one) == len(other) and all(map(np.array_equal, one, other))
 
 
-def test_many_cells_are_bisected():
+def test_many_cells_are_bisected(monkeypatch):
     mesh = cube(7, "tetrahedron")
     mesh.geometry.x[:] += 0.1 * np.sin(9 * mesh.geometry.x[:, [1, 2, 0]])
     assert same(split(mesh, 300), split(mesh, 300, "scotch"))
-    many = split(mesh, 300, many_cells=6 * 7**3)
+    monkeypatch.setattr(partition, "MANY_CELLS", 6 * 7**3)
+    many = split(mesh, 300)
     assert same(many, split(mesh, 300, "bisection"))
     assert not same(many, split(mesh, 300, "scotch"))
 
 
-def test_bodies_that_planes_cut_in_pieces_are_left_to_scotch():
+def test_bodies_that_planes_cut_in_pieces_are_left_to_scotch(monkeypatch):
+    monkeypatch.setattr(partition, "MANY_CELLS", 100)
     mesh = spring(4)
-    many = split(mesh, 300, many_cells=100)
+    many = split(mesh, 300)
     assert same(many, split(mesh, 300, "scotch"))
     assert len(split(mesh, 300, "bisection")) > len(many)
 
