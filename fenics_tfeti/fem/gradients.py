@@ -14,6 +14,7 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.results import RigidBodyResult
+from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
 from fenics_tfeti.fem.topology import batches, owned_cells
@@ -102,15 +103,12 @@ def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float
     """
     comm = uh.function_space.mesh.comm
     size, strain2 = _cell_measures(uh)
-    large = size > _LARGE
-    sums, largest = np.zeros((2, len(energy))), np.zeros(len(energy))
-    sums[0] = np.bincount(bodies.of_cell, strain2, len(energy))
-    sums[1] = np.bincount(bodies.of_cell[large], strain2[large], len(energy))
-    np.maximum.at(largest, bodies.of_cell, size)
-    comm.Allreduce(MPI.IN_PLACE, sums)
-    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    large, count = size > _LARGE, len(energy)
+    energies = [np.bincount(bodies.of_cell, values, count) for values in (strain2, strain2 * large)]
+    whole, in_large = comm.allreduce(np.array(energies))
+    largest = extremes(comm, size, bodies.of_cell, count, 0.0)
     # the strain energy in large cells, as a share of that of all bodies
-    share = np.divide(sums[1], sums[0], out=np.zeros_like(largest), where=sums[0] > 0.0)
+    share = np.divide(in_large, whole, out=np.zeros_like(whole), where=whole > 0.0)
     share *= np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
     if share.sum() <= _SHARE:
         return False

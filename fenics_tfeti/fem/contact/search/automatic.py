@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
 from fenics_tfeti.fem.contact.search.opposite import OppositeFacets
 from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
+from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import distinct_rows
@@ -152,18 +153,13 @@ def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) ->
     nearest to others, within the size of the facets there.
     """
     gap, reach, of_bodies = opposite.gap, opposite.reach, opposite.rows[:, :2].T
-    nearest = np.full(len(bodies.names), np.inf)
-    size = np.zeros(len(bodies.names))
-    for body in of_bodies:
-        np.minimum.at(nearest, body, gap)
-    comm.Allreduce(MPI.IN_PLACE, nearest, MPI.MIN)
-    for body in of_bodies:
-        there = gap <= nearest[body] + SAME_PLACE * reach
-        np.maximum.at(size, body[there], reach[there])
-    comm.Allreduce(MPI.IN_PLACE, size, MPI.MAX)
+    body, count, gaps, reaches = of_bodies.ravel(), len(bodies.names), *np.tile([gap, reach], 2)
+    nearest = -extremes(comm, -gaps, body, count, -np.inf)
+    there = gaps <= nearest[body] + SAME_PLACE * reaches
+    size = extremes(comm, reaches[there], body[there], count, 0.0)
     may_touch: Mask = gap <= size[of_bodies].max(axis=0)
     may_touch |= opposite.cosine >= np.cos(_INCLINED)
-    pair = np.max(of_bodies, axis=0) * nearest.size + np.min(of_bodies, axis=0)
+    pair = np.max(of_bodies, axis=0) * count + np.min(of_bodies, axis=0)
     kept = np.unique(concatenate_ranks(comm, np.unique(pair[may_touch])))
     lost = ~np.isin(pair, kept)
     number = np.unique(concatenate_ranks(comm, np.unique(pair[lost]))).size
@@ -211,16 +207,14 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
     ratios = np.where(is_lower, [ratio, 1.0 / ratio], [1.0 / ratio, ratio])
     values = np.column_stack([*ratios, is_lower, ~is_lower])
     pairs, inverse = distinct_rows(np.sort(opposite.rows[:, :2], axis=1))
-    largest = np.zeros((len(pairs), 4))
-    np.maximum.at(largest, inverse, values)
     every, inverse_of = distinct_rows(concatenate_ranks(comm, pairs))
-    of_all = np.zeros((len(every), 4))
-    np.maximum.at(of_all, inverse_of, concatenate_ranks(comm, largest))
-    as_lower, as_higher, lower_is_near, higher_is_near = of_all.T
+    first = first_of_rank(comm, len(pairs))[0]
+    pair = inverse_of[first + inverse]
+    largest = extremes(comm, values, pair, len(every), 0.0)
+    as_lower, as_higher, lower_is_near, higher_is_near = largest.T
     lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
     lower &= lower_is_near > 0.0
-    first = first_of_rank(comm, len(pairs))[0]
-    return is_lower == lower[inverse_of[first + inverse]]
+    return is_lower == lower[pair]
 
 
 def _surfaces(
