@@ -107,7 +107,12 @@ def prepare_form(
     domain = space.mesh
     ids = {kind: _tagged_ids(form, kind) for kind in _MEASURES}
     with raise_collectively(domain.comm):
-        _check_integrals(form, name)
+        for kind in (integral.integral_type() for integral in form.integrals()):
+            if kind not in _MEASURES:
+                raise InputError(
+                    f"the {name} has an integral over {kind}; only dx and ds are supported, since "
+                    "subdomains are torn from each other"
+                )
         _check_coefficients(form, name, domain)
         data = {kind: _subdomain_data(form, kind, ids[kind], name, domain) for kind in _MEASURES}
 
@@ -136,16 +141,6 @@ def _is_translation_invariant(form: ufl.Form) -> bool:
         for terminal in traverse_unique_terminals(integral.integrand())
         if isinstance(terminal, geometry.GeometricQuantity)
     )
-
-
-def _check_integrals(form: ufl.Form, name: str) -> None:
-    for integral in form.integrals():
-        kind = integral.integral_type()
-        if kind not in _MEASURES:
-            raise InputError(
-                f"the {name} has an integral over {kind}; only dx and ds are supported, since "
-                "subdomains are torn from each other"
-            )
 
 
 def _check_coefficients(form: ufl.Form, name: str, domain: Mesh) -> None:
