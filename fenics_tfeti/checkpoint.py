@@ -55,10 +55,9 @@ class Step:
         origin = SlipOrigin(self.displacement, obstacles)
         return replace(self, origin=origin, number=self.number + 1)
 
-    def guess(self, pairings: Sequence[ContactPairing], first_node: int) -> ContactGuess:
+    def guess(self, pairings: Sequence[ContactPairing]) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
-        forces = [self.force.at(k, p.slave - first_node) for k, p in enumerate(pairings)]
-        force = np.concatenate([np.zeros(0), *forces])
+        force = self.force.at_conditions(pairings)
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 

@@ -16,7 +16,8 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_contacts
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.surfaces.tagged import as_ufl_weight
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
@@ -280,12 +281,8 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
     space = _compat.lagrange_space(mesh, 1)
     nodes, facet = NodeMap(space), mesh.topology.dim - 1
     mesh.topology.create_connectivity(facet, facet + 1)
-    surfaces = [(contact.facet_tags, contact.slave) for contact in contacts]
-    pairs = [contact for contact in contacts if isinstance(contact, ContactPair)]
-    surfaces += [(pair.facet_tags, pair.master) for pair in pairs]
-    at_contact = [
-        fem.locate_dofs_topological(space, facet, tags.find(tag)) for tags, tag in surfaces
-    ]
+    facets = [c.facet_tags.find(tag) for c in contacts for tag in surface_tags(c)]
+    at_contact = [fem.locate_dofs_topological(space, facet, part) for part in facets]
     corners = nodes.to_global(_compat.cell_dofs(space)[: owned_cells(mesh)])
     first = _touching(nodes, nodes.to_global(np.concatenate([*at_contact, []])), corners)
     return first, _touching(nodes, corners[first].ravel(), corners) & ~first

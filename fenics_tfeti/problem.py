@@ -322,7 +322,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 return expected_contact(coarse, conditions.pairings)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        return self._step.guess(conditions.pairings, self._torn.nodes.first)
+        return self._step.guess(conditions.pairings)
 
     def _solve_exactly(
         self,

@@ -123,6 +123,12 @@ class NodeMap:
             result[local[first]] = ufunc.reduceat(values, first, axis=0)
         return result
 
+    def reduced_over_cells(self, values: Array, ufunc: Any) -> Array:
+        """Return values (owned,) reduced from those of cells (m,) around each node. Collective."""
+        nodes = _compat.cell_dofs(self.space)[: values.size]
+        at_nodes = np.repeat(values, nodes.shape[1])
+        return self.sum_at_owners(self.to_global(nodes).ravel(), at_nodes, ufunc)
+
     @cached_property
     def input_numbers(self) -> Numbers:
         """Numbers (owned,) of the owned nodes by the mesh's input. The first time collective.

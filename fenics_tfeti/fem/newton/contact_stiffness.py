@@ -24,6 +24,7 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions, cell_dofs, element_facts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_type
@@ -42,7 +43,7 @@ class ContactStiffness:
         self._forms: PreparedForms | None = None
         turning = [contact for contact in contacts if has_turning_normals(contact)]
         if turning:
-            facets = [c.facet_tags.find(tag) for c in turning for tag in _surfaces(c)]
+            facets = [c.facet_tags.find(tag) for c in turning for tag in surface_tags(c)]
             self._at_vertices = _at_vertices(self._nodes)
             self._pressure, self._forms = _forms(u, np.unique(np.concatenate(facets)), compiler)
 
@@ -78,11 +79,6 @@ class ContactStiffness:
 def has_turning_normals(contact: Contact) -> bool:
     """Tell whether the master is a deformable or a rigid body, not an obstacle by itself."""
     return isinstance(contact, ContactPair) or contact.body is not None
-
-
-def _surfaces(contact: Contact) -> list[int]:
-    """Return the tags of the surfaces that are of the mesh."""
-    return [contact.slave, contact.master] if isinstance(contact, ContactPair) else [contact.slave]
 
 
 def with_contact_stiffness(subdomain: Subdomain, K: sp.csr_matrix) -> Subdomain:

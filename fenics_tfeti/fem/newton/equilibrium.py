@@ -157,10 +157,9 @@ class Multipliers:
     @staticmethod
     def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
         """Return those of normal forces (k,) alone [N]."""
-        new, conditions = Multipliers.none(rows), rows.conditions
-        slaves = [conditions.dofs(pairing.slave) for pairing in conditions.pairings]
-        forces = [force.at(k, slave) for k, slave in enumerate(slaves)]
-        new.normal[rows.place] = np.concatenate([np.zeros(0), *forces]) / rows.contacts.length
+        new = Multipliers.none(rows)
+        forces = force.at_conditions(rows.conditions.pairings)
+        new.normal[rows.place] = forces / rows.contacts.length
         return new
 
     def flat(self) -> Vector:

@@ -58,13 +58,9 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
         for name in ("slave", "master", "normal", "gap", "coordinates")
     )
     size = _sizes_of_bodies(space, bodies)
-    cells = _compat.cell_dofs(space)[: bodies.of_cell.size]
     nodes = NodeMap(space)
-    body = np.zeros(nodes.size, dtype=np.int64)
-    body[cells] = bodies.of_cell[:, None]
-    in_cells = np.unique(cells)
-    body_of_node = nodes.sum_at_owners(nodes.to_global(in_cells), body[in_cells], np.maximum)
-    of_ends = size[nodes.values_at(body_of_node, np.stack([slave, master]))]
+    body = nodes.reduced_over_cells(bodies.of_cell, np.maximum)
+    of_ends = size[nodes.values_at(body, np.stack([slave, master]))]
     thickness = np.sum(np.abs(normal) * of_ends, axis=2).min(axis=0)
     names = [pairing.name for pairing in pairings]
     if bad := first_wrong(comm, -gap > thickness, points[:, :gdim], contact, names):

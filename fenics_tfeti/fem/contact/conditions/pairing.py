@@ -221,6 +221,12 @@ class SlaveValues:
         found[rows] = self.values[own[position]]
         return found
 
+    def at_conditions(self, pairings: Sequence[ContactPairing]) -> Array:
+        """Return the values (k, ...) at the conditions of all contacts, one after the other."""
+        slaves = [p.slave - p.surface.boundary.nodes.first for p in pairings]
+        parts = [self.at(contact, nodes) for contact, nodes in enumerate(slaves)]
+        return np.concatenate([self.values[:0], *parts])
+
     def of_first(self, contacts: int) -> SlaveValues:
         """Return those of the first contacts."""
         kept = self.contact < contacts

@@ -32,6 +32,11 @@ class SurfacePair:
             )
 
 
+def surface_tags(contact: Any) -> list[int]:
+    """Return the tags of the surfaces of the mesh: the slave's, and that of a master if any."""
+    return [getattr(contact, role) for role in ("slave", "master") if hasattr(contact, role)]
+
+
 def contact_name(contact: Any, number: int) -> str:
     """Return the name of a contact or tie, by default from its number and kind."""
     return contact.name or contact.default_name.format(number)

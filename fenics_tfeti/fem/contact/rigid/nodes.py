@@ -26,6 +26,7 @@ from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, Prescribed
+from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -51,11 +52,9 @@ class RigidNodes:
         number = np.array(
             [distinct.index(rigid[tag]) if tag in rigid else -1 for tag in bodies.tags.tolist()]
         )
-        dofs = _compat.cell_dofs(space)[: bodies.of_cell.size]
-        at = nodes.to_global(dofs).ravel()
-        values = np.repeat(number[bodies.of_cell], dofs.shape[1])
-        body = nodes.sum_at_owners(at, values, np.maximum)
-        shared = (body >= 0) & (nodes.sum_at_owners(at, values, np.minimum) < 0)
+        of_cells = number[bodies.of_cell]
+        body = nodes.reduced_over_cells(of_cells, np.maximum)
+        shared = (body >= 0) & (nodes.reduced_over_cells(of_cells, np.minimum) < 0)
         if bad := first_wrong(nodes.comm, shared, x):
             raise InputError(
                 f"{bad.number} nodes belong to a rigid body of the mesh and to a deformable one, "
@@ -122,7 +121,7 @@ class RigidNodes:
             return False
         local = np.asarray(locate_dofs_topological(space, dim, facet_tags.find(tag)))
         number = self.nodes.values_at(self.body, self.nodes.to_global(local))
-        return bool(self.nodes.comm.allreduce(bool((number >= 0).any()), MPI.LOR))
+        return any_rank(self.nodes.comm, number >= 0)
 
     def joined(self, rows: ContactRows, bodies: RigidBodies) -> ContactRows:
         """Return rows in terms of the bodies' corners, with their prescribed motion. Collective."""
