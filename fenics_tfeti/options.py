@@ -51,7 +51,6 @@ class ContactOptions:
     view: bool = False
 
     def __post_init__(self) -> None:
-        """Check the ranges of numbers."""
         check_range(self, "subdomain_size", 0, float("inf"))
 
     def as_dict(self) -> dict[str, Any]:
@@ -96,7 +95,6 @@ class NewtonOptions(ContactOptions):
     tangent: TangentKind = "auto"
 
     def __post_init__(self) -> None:
-        """Check the ranges of numbers."""
         super().__post_init__()
         check_range(self, "newton_rtol", 0.0, 1.0)
         for name in ("newton_max_it", "newton_step_limit"):

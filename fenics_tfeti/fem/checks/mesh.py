@@ -43,7 +43,6 @@ class _SurfaceNodes:
     vertex: Numbers  # global number in the distributed mesh
 
     def __getitem__(self, rows: Any) -> _SurfaceNodes:
-        """Return some of the rows."""
         return _SurfaceNodes(*(column[rows] for column in vars(self).values()))
 
 

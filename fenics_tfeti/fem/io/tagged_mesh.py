@@ -22,7 +22,6 @@ class Names(dict[str, int]):
     """Tags by name; a name that is missing is an error with those that there are."""
 
     def __missing__(self, name: str) -> int:
-        """Say which names there are."""
         raise InputError(f"no body or surface has the name {name!r}; the names are {sorted(self)}")
 
 

@@ -81,7 +81,6 @@ class ContactPair(SurfacePair):
     partners: NodePartners | Literal["mortar"] | None = None
 
     def __post_init__(self) -> None:
-        """Check the data."""
         super().__post_init__()
         label = checked_label(self)
         check_friction(self.friction, label)
@@ -151,7 +150,6 @@ class RigidObstacle:
     body: RigidBody | None = None
 
     def __post_init__(self) -> None:
-        """Check the data."""
         label = checked_label(self)
         check_tags(self, label, "slave")
         if self.body is not None and not isinstance(self.body, RigidBody):
@@ -204,7 +202,6 @@ class Exact:
     max_passes: int = 20
 
     def __post_init__(self) -> None:
-        """Check the data."""
         check_positive(self.tolerance, "Exact: the tolerance", "the largest displacement")
         count = self.max_passes
         check_value(

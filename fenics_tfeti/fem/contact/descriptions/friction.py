@@ -35,7 +35,6 @@ class Tresca:
     slip_bound: NodalValue
 
     def __post_init__(self) -> None:
-        """Check the data."""
         _check_nodal_value(self.slip_bound, "slip_bound")
 
 
@@ -58,7 +57,6 @@ class Coulomb:
     coefficient: NodalValue
 
     def __post_init__(self) -> None:
-        """Check the data."""
         _check_nodal_value(self.coefficient, "coefficient")
 
 

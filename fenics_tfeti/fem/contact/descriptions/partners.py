@@ -37,7 +37,6 @@ class Nearest:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the data."""
         _check_tolerance(self)
 
 
@@ -65,7 +64,6 @@ class Along:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the data."""
         if not callable(self.direction):
             as_direction(self.direction, "Along: the direction")
         _check_tolerance(self)
@@ -97,7 +95,6 @@ class Mapped:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the data."""
         expected = "a function x (3, n) -> (3, n)"
         check_value(callable(self.mapping), "Mapped: the mapping", self.mapping, expected)
         _check_tolerance(self)
@@ -126,7 +123,6 @@ class Points:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        """Check the data."""
         slave = as_points(self.slave, "Points: the slave points")
         master = as_points(self.master, "Points: the master points")
         if len(slave) != len(master):

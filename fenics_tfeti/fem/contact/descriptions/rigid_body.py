@@ -61,7 +61,6 @@ class RigidBody:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Check the data."""
         as_coordinates(self.reference, f"{checked_label(self)}: the reference point")
         _ = self.load, self.prescribed_motion, self.stiffness
 

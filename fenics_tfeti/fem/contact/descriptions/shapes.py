@@ -58,7 +58,6 @@ class Plane:
     normal: Sequence[float]
 
     def __post_init__(self) -> None:
-        """Check the data."""
         normal = as_direction(self.normal, "the plane's normal")
         if as_coordinates(self.point, "the plane's point").size < normal.size:
             raise InputError(
@@ -108,7 +107,6 @@ class Sphere:
     hollow: bool = False
 
     def __post_init__(self) -> None:
-        """Check the data."""
         as_coordinates(self.centre, "the sphere's centre")
         check_positive(self.radius, "the sphere's radius")
 
@@ -158,7 +156,6 @@ class Cylinder:
     hollow: bool = False
 
     def __post_init__(self) -> None:
-        """Check the data."""
         sizes = (
             as_coordinates(self.point, "the cylinder's point").size,
             as_direction(self.axis, "the cylinder's axis").size,
@@ -209,7 +206,6 @@ class FacetedObstacle:
     facets: ArrayLike
 
     def __post_init__(self) -> None:
-        """Check the data."""
         points = as_points(self.points, "FacetedObstacle: the points")
         facets = np.asarray(self.facets)
         gdim = points.shape[1]

@@ -22,7 +22,6 @@ class SurfacePair:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Check the data."""
         label = checked_label(self)
         check_tags(self, label, "slave", "master")
         if self.slave == self.master:

@@ -86,7 +86,6 @@ class PeriodicPair(SurfacePair):
     jump: VectorField | None = None
 
     def __post_init__(self) -> None:
-        """Check the data."""
         super().__post_init__()
         label = checked_label(self)
         if self.translation is None and self.rotation is None:
@@ -145,7 +144,6 @@ class BoltPreload(SurfacePair):
     turns: bool = False
 
     def __post_init__(self) -> None:
-        """Check the data."""
         super().__post_init__()
         label = checked_label(self)
         if (self.force is None) == (self.shortening is None):
@@ -198,7 +196,6 @@ class LinearRows:
     name: str = ""
 
     def __post_init__(self) -> None:
-        """Check the data."""
         label = checked_label(self)
         slaves, masters, offsets = (
             _as_integers(getattr(self, what), f"{label}: {what}")

@@ -48,7 +48,6 @@ class Facets:
     contact: Numbers | None = None  # (n,): of surfaces of several contacts, that of each point
 
     def __len__(self) -> int:
-        """Return the number of facets."""
         return len(self.nodes)
 
     @property

@@ -367,7 +367,6 @@ class Results(tuple[Any, ...]):
         return key in self.names or any(key is result for result in self)
 
     def __repr__(self) -> str:
-        """Return the names."""
         return f"Results({', '.join(map(repr, self.names))})"
 
 
