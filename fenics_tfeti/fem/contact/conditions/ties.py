@@ -192,7 +192,7 @@ class _Match:
     distance: Vector  # (k,): of the master's nodes from the places where they should be [m]
     angle: Vector  # (k,): between the normals of facets and the opposite of the master's [degrees]
 
-    def pairing(self, name: str, kind: str, rows: ContactRows) -> TiedPairing:
+    def pairing(self, kind: str, rows: ContactRows) -> TiedPairing:
         """Return the pairing with these rows. Collective."""
         surface = self.surface
         contact = np.zeros(self.nodes.size, dtype=np.int64)
@@ -202,7 +202,7 @@ class _Match:
         area[np.searchsorted(self.nodes, surface.nodes)] = whole
         (summary,) = pairing_summaries(
             surface.comm,
-            [name],
+            surface.names,
             kind,
             contact,
             np.zeros(self.nodes.size),
@@ -234,7 +234,7 @@ def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> Tied
         places = boundary.coordinates[match.nodes - boundary.nodes.first]
         jump = vectors_at(comm, pair.jump, places, gdim, f"the jump of {name}")
     rows = _rows(match.nodes, match.master, np.identity(gdim), Q, jump)
-    return match.pairing(name, "periodic", rows)
+    return match.pairing("periodic", rows)
 
 
 def preload_rows(
@@ -247,7 +247,7 @@ def preload_rows(
     """
     gdim = boundary.nodes.components
     match = _matched(boundary, bolt, name, np.identity(gdim), np.zeros(gdim))
-    axis = _axis(match.surface, bolt, name)
+    axis = _axis(match.surface, bolt)
     # the first of an orthonormal basis
     basis = np.linalg.qr(np.column_stack([axis, np.identity(gdim)]))[0].T
     basis[0] = axis
@@ -266,7 +266,7 @@ def preload_rows(
         along = np.flatnonzero(np.arange(rows.size) % gdim == 0)
         size = (along.size, 1)
         rows = rows.with_terms(along, np.repeat(body.nodes, along.size), np.tile(-axis, size))
-    return replace(match.pairing(name, "bolt", rows), preload=preload)
+    return replace(match.pairing("bolt", rows), preload=preload)
 
 
 def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:
@@ -331,7 +331,7 @@ def _matched(
     partner = np.take_along_axis(master.facets.nodes[facet], between.argmin(axis=2), axis=1)
     distance = between.min(axis=2)
     size = slave.comm.allreduce(float(slave.size.min(initial=np.inf)), MPI.MIN)
-    _check_matching(slave, distance.max(axis=1) > SAME_PLACE * size, x, facet, image, name)
+    _check_matching(slave, distance.max(axis=1) > SAME_PLACE * size, x, facet, image)
     n, opposite = (unit(facet_normals(ends[:, : len(t)])) for ends in (x, image[facet]))
     angle = np.repeat(angles_between(n, -opposite), numbers.shape[1])
 
@@ -350,9 +350,7 @@ def _matched(
     return _Match(slave, local + all_nodes.first, highest, *largest[:, 2:].T)
 
 
-def _check_matching(
-    slave: Surface, alone: Mask, x: Vector, facet: Numbers, image: Vector, name: str
-) -> None:
+def _check_matching(slave: Surface, alone: Mask, x: Vector, facet: Numbers, image: Vector) -> None:
     """Check that each facet of either surface has one of the other. Collective.
 
     `alone` (f,) are the slave's facets at x that have none, `facet` the nearest ones of the
@@ -367,16 +365,16 @@ def _check_matching(
         total = comm.allreduce(len(places))
         if bad := first_wrong(comm, wrong, places.mean(axis=1)):
             raise InputError(
-                f"{name}: {bad.number} of {total} facets of the {side} have no facet of the "
-                f"{other} with the same nodes, the first around {bad.place} on the slave's side: "
-                "the surfaces do not match. Mesh them alike (setPeriodic in Gmsh), or correct the "
-                "translation or rotation from the master to the slave"
+                f"{slave.names[0]}: {bad.number} of {total} facets of the {side} have no facet of "
+                f"the {other} with the same nodes, the first around {bad.place} on the slave's "
+                "side: the surfaces do not match. Mesh them alike (setPeriodic in Gmsh), or "
+                "correct the translation or rotation from the master to the slave"
             )
 
 
-def _axis(surface: Surface, bolt: BoltPreload, name: str) -> Vector:
+def _axis(surface: Surface, bolt: BoltPreload) -> Vector:
     """Return the axis of a bolt on the side of the slave's outward normal. Collective."""
-    mean = surface.comm.allreduce(surface.area @ surface.normal)
+    name, mean = surface.names[0], surface.comm.allreduce(surface.area @ surface.normal)
     normal: Vector = mean / np.linalg.norm(mean)
     if bolt.axis is not None:
         with raise_collectively(surface.comm):
