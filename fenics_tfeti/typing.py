@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 Array = NDArray[Any]
 Vector = NDArray[np.float64]
-Points = NDArray[np.float64]
 Numbers = NDArray[np.int64]
 Indices = NDArray[np.int32]
 Mask = NDArray[np.bool_]

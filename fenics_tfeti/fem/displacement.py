@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
@@ -18,7 +17,7 @@ from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Indices, Mask, Vector
 
 
 def space_of_forms(a: ufl.Form, L: ufl.Form) -> FunctionSpace:
@@ -144,9 +143,9 @@ def prescribed_components(nodes: NodeMap, prescribed: Prescribed) -> Mask:
 def _check_values(
     space: FunctionSpace,
     number: int,
-    dofs: NDArray[np.int32],
+    dofs: Indices,
     new: Vector,
-    prescribed: NDArray[np.bool_],
+    prescribed: Mask,
     values: Vector,
 ) -> None:
     """Check the new values at some dofs against the values that are given already."""

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.fem.decomposition.bodies import components
-from fenics_tfeti.typing import Indices, Numbers, Points
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 # variance along a coordinate axis, relative to the largest one, at which cuts are across that axis:
 # slanted cuts of a body along the axes have larger areas
@@ -21,7 +21,7 @@ _PASSES = 6
 _LARGE = 0.3
 
 
-def bisect(graph: sp.csr_matrix, midpoints: Points, count: int) -> Numbers:
+def bisect(graph: sp.csr_matrix, midpoints: Vector, count: int) -> Numbers:
     """Cut a connected set of m cells into parts with nearly as many cells each; return the labels.
 
     Every part is connected; there are more of them than `count` <= m where planes cut a part in
@@ -33,7 +33,7 @@ def bisect(graph: sp.csr_matrix, midpoints: Points, count: int) -> Numbers:
     return _connected(graph, _smoothed(graph, label), count)
 
 
-def _cut(x: Points, cells: Numbers, count: int, label: Numbers) -> None:
+def _cut(x: Vector, cells: Numbers, count: int, label: Numbers) -> None:
     """Give the parts of some cells numbers from the one on that they have in `label`."""
     if count == 1:
         return
@@ -46,14 +46,14 @@ def _cut(x: Points, cells: Numbers, count: int, label: Numbers) -> None:
     _cut(x, upper, count - fewer, label)
 
 
-def _along_longest_axis(x: Points) -> Points:
+def _along_longest_axis(x: Vector) -> Vector:
     """Return the coordinate along which points are spread most."""
     relative = x - x.mean(axis=0)
     covariance = relative.T @ relative
     variances, axes = np.linalg.eigh(covariance)
     longest = int(np.argmax(np.diag(covariance)))
     if covariance[longest, longest] >= _LONG_ENOUGH * variances[-1]:
-        coordinate: Points = relative[:, longest]
+        coordinate: Vector = relative[:, longest]
     else:
         coordinate = relative @ axes[:, -1]
     return coordinate

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.typing import Indices, Numbers, Points
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 # part of all combinations of coordinates at which a grid has nodes
 _LEAST_FILLED = 0.5
@@ -22,10 +22,10 @@ class Grid:
 
     cell: Numbers  # (m, d) index of the grid box of each cell; the simplices of a box have the same
     cells: Numbers  # (d,) number of boxes along each axis
-    lengths: Points  # (d,) of the body [m]
+    lengths: Vector  # (d,) of the body [m]
 
 
-def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
+def find_grid(points: Vector, cell_nodes: Numbers | Indices) -> Grid | None:
     """Return the grid along the axes that points (k, d) at cells (m, v) form, or None.
 
     At least half of all combinations of coordinates are at one node and none is at two: corners of
@@ -46,7 +46,7 @@ def find_grid(points: Points, cell_nodes: Numbers | Indices) -> Grid | None:
     return Grid(cell, shape - 1, np.ptp(points[nodes], axis=0))
 
 
-def _indices(points: Points) -> Numbers:
+def _indices(points: Vector) -> Numbers:
     """Return for each point and axis the number of different smaller coordinates."""
     tolerance = RELATIVE_ROUNDING * np.ptp(points, axis=0).max()
     index = np.empty(points.shape, dtype=np.int64)

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-from fenics_tfeti.typing import Numbers, Points
+from fenics_tfeti.typing import Numbers, Vector
 
 
-def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Numbers]]:
+def find_images(points: Vector, reference: Vector) -> Iterator[tuple[Vector, Numbers]]:
     """Find the rotations and mirrorings by which points are the images of reference points.
 
     Yield an orthogonal matrix T and an order with points[order] = reference T' but for a
@@ -45,7 +45,7 @@ def find_images(points: Points, reference: Points) -> Iterator[tuple[Points, Num
             yield rotation, order
 
 
-def _candidates(x: Points, y: Points, tolerance: float) -> Iterator[Points]:
+def _candidates(x: Vector, y: Vector, tolerance: float) -> Iterator[Vector]:
     """Return the orthogonal matrices that take the chosen nodes of y to nodes of x."""
     first = _rarest(np.linalg.norm(y, axis=1)[:, None], tolerance)
     a = y[first]
@@ -72,21 +72,21 @@ def _candidates(x: Points, y: Points, tolerance: float) -> Iterator[Points]:
             yield image.T @ basis
 
 
-def _places(x: Points, axis: Points) -> Points:
+def _places(x: Vector, axis: Vector) -> Vector:
     """Return the distances of points from an axis through the centre, and the places along it."""
     place = x @ (axis / np.linalg.norm(axis))
     distance = np.linalg.norm(x - place[:, None] * axis / np.linalg.norm(axis), axis=1)
     return np.stack([distance, place], axis=1)
 
 
-def _rarest(measures: Points, tolerance: float) -> int:
+def _rarest(measures: Vector, tolerance: float) -> int:
     """Return the point, far out in the first measure, that shares its measures with fewest."""
     outer = np.flatnonzero(measures[:, 0] >= 0.5 * measures[:, 0].max())
     shared = cKDTree(measures).query_ball_point(measures[outer], tolerance, return_length=True)
     return int(outer[np.lexsort([-measures[outer, 0], shared])[0]])
 
 
-def _basis(vectors: Points) -> Points:
+def _basis(vectors: Vector) -> Vector:
     """Return an orthonormal basis, as rows, whose first vectors span those given."""
     e = vectors[0] / np.linalg.norm(vectors[0])
     if len(vectors) == 1:

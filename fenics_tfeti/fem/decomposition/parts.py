@@ -16,7 +16,7 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
-from fenics_tfeti.typing import Array, Indices, Numbers, Points
+from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class BlockPattern:
         columns = np.arange(rows.size + 1, dtype=np.int32)
         return sp.csc_matrix((np.ones(rows.size), rows, columns), (self.rows.size, rows.size))
 
-    def matrix(self, data: Points) -> sp.csr_matrix:
+    def matrix(self, data: Vector) -> sp.csr_matrix:
         """Return the matrix with these data, unknowns node by node."""
         size = self.indptr.size - 1
         return sp.csr_matrix((data.ravel(), self.indices, self.indptr), (size, size))
@@ -83,7 +83,7 @@ class Part:
     shape: bytes | None = None
     # Orthogonal matrix T (d, d) if the part is the image, rotated or mirrored by T, of another one
     # of this shape.
-    rotation: Points | None = None
+    rotation: Vector | None = None
 
     patterns: dict[int, BlockPattern] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -97,7 +97,7 @@ class Part:
 
 
 def number_parts(
-    space: FunctionSpace, cells: Sequence[Indices], bodies: Sequence[int], x: Points | None = None
+    space: FunctionSpace, cells: Sequence[Indices], bodies: Sequence[int], x: Vector | None = None
 ) -> list[Part]:
     """Give the nodes of each subdomain numbers within it.
 
@@ -126,10 +126,10 @@ def number_parts(
 
 def find_equal(
     parts: Sequence[Part],
-    x: Points,
+    x: Vector,
     data: Sequence[Array],
     translation_invariant: bool,
-    matrices: Mapping[int, Points],
+    matrices: Mapping[int, Vector],
 ) -> list[int]:
     """Return for each part the first one that is equal to it in shape and data, possibly itself.
 
@@ -180,10 +180,10 @@ def samples(parts: Sequence[Part], data: Sequence[Array]) -> dict[int, Numbers]:
     return positions
 
 
-def _align_images(parts: list[Part], candidates: Sequence[int], x: Points) -> None:
+def _align_images(parts: list[Part], candidates: Sequence[int], x: Vector) -> None:
     """Give parts that are images of earlier ones the order of these, and their matrices."""
     images: dict[bytes | None, Part] = {}
-    shapes, sizes = list[Part](), list[Points]()
+    shapes, sizes = list[Part](), list[Vector]()
     for i in candidates:
         part = parts[i]
         if part.shape not in images:
@@ -209,13 +209,13 @@ def _align_images(parts: list[Part], candidates: Sequence[int], x: Points) -> No
         )
 
 
-def _sizes(x: Points) -> Points:
+def _sizes(x: Vector) -> Vector:
     """Return mean, root mean square and largest distance of points from their centre."""
     radii = np.linalg.norm(x - x.mean(axis=0), axis=1)
     return np.array([radii.mean(), np.sqrt(np.mean(radii**2)), radii.max()])
 
 
-def _image(part: Part, reference: Part, x: Points) -> Part | None:
+def _image(part: Part, reference: Part, x: Vector) -> Part | None:
     """Return a part in the order of another one that it is the image of, as positions."""
     reference_rows = np.sort(reference.table, axis=1)
     reference_order = np.lexsort(reference_rows.T)
@@ -231,12 +231,12 @@ def _image(part: Part, reference: Part, x: Points) -> Part | None:
     return None
 
 
-def _in_frame(part: Part, x: Points) -> Points:
+def _in_frame(part: Part, x: Vector) -> Vector:
     points = x[part.nodes]
     return points if part.rotation is None else points @ part.rotation
 
 
-def _is_equal(a: Points, b: Points) -> bool:
+def _is_equal(a: Vector, b: Vector) -> bool:
     """Tell whether matrices differ by no more than rounding."""
     return bool(np.abs(a - b).max() <= RELATIVE_ROUNDING * np.abs(a).max())
 
@@ -250,7 +250,7 @@ def _number(dofs: Indices, cells: Indices, body: int, number: Indices) -> Part:
     return Part(cells, nodes, number[table], body)
 
 
-def _sort(part: Part, x: Points) -> Part:
+def _sort(part: Part, x: Vector) -> Part:
     """Sort the nodes by their coordinates relative to the part, and the cells by their nodes."""
     # Coordinates are rounded to steps in the width of the part. Their number is a power of two, so
     # that no regular grid has nodes half-way between two steps; a part whose node is there by
@@ -289,7 +289,7 @@ def _hash(*data: Array) -> bytes:
     return digest.digest()
 
 
-def _is_translated(a: Points, b: Points) -> bool:
+def _is_translated(a: Vector, b: Vector) -> bool:
     """Tell whether two parts' nodes differ by a translation, up to the rounding of coordinates."""
     offset = a - b
     offset -= offset[:1]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dolfinx.mesh import Mesh
 
@@ -293,7 +293,7 @@ def _radial_gap(
     return sign * (distance - radius), sign * outward / distance
 
 
-def _stl_corners(path: Path) -> NDArray[np.float64]:
+def _stl_corners(path: Path) -> Vector:
     """Return the corners (m, 3, 3) of the triangles of a file."""
     content = path.read_bytes()
     count = int(np.frombuffer(content[80:_STL_HEADER], "<u4")[0]) if len(content) > 84 else 0

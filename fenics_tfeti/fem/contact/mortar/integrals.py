@@ -6,7 +6,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.fem.contact.mortar.cells import Cells, MasterTree, covering_cells
 from fenics_tfeti.fem.contact.mortar.clipping import fan_triangles
@@ -45,9 +44,7 @@ class FacetIntegrals:
     coupling: Vector  # (p, v, w): of N_i N^m_l
 
 
-def integrate(
-    slave: Facets, master: Facets, weight: NDArray[np.float64] | None = None
-) -> FacetIntegrals:
+def integrate(slave: Facets, master: Facets, weight: Vector | None = None) -> FacetIntegrals:
     """Integrate over the parts of the slave's facets that the master covers.
 
     Points of the two surfaces are opposite each other along the normal of the slave's facet. The
@@ -74,7 +71,7 @@ def integrate(
     return FacetIntegrals(**columns)
 
 
-def integrate_alone(slave: Facets, weight: NDArray[np.float64] | None = None) -> FacetIntegrals:
+def integrate_alone(slave: Facets, weight: Vector | None = None) -> FacetIntegrals:
     """Integrate over whole facets, without a master: the surface takes its place."""
     x = slave.coordinates()
     planes, piece = Planes.of(x), np.arange(len(x))

@@ -8,13 +8,12 @@ from typing import Any, Self
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -120,7 +119,7 @@ class FrictionResult:
     traction: Vector
     bound: Vector
     slip: Vector
-    sticking: NDArray[np.bool_]
+    sticking: Mask
     work: Vector
 
     @property
@@ -197,7 +196,7 @@ class ContactResult(_SurfaceResult):
     normal: Vector
     normal_force: Vector
     pressure: Vector
-    active: NDArray[np.bool_]
+    active: Mask
     area: Vector
     coverage: Vector
     friction: FrictionResult | None = None

@@ -10,7 +10,6 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dolfinx.fem import Constant, Function, FunctionSpace
 from dolfinx.mesh import Mesh
@@ -37,9 +36,7 @@ from fenics_tfeti.fem.topology import (
 )
 from fenics_tfeti.fem.user_data import VectorField, unit_vectors
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
-from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
-
-Array = NDArray[Any]
+from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class MeshBoundary:
     nodes: NodeMap  # its nodes
     coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
     # whether each facet of this rank is on the boundary; False for ghosts
-    exterior: NDArray[np.bool_]
+    exterior: Mask
     weight: Any  # factor of ds in the forms, an expression of UFL; None without one
 
     @staticmethod
