@@ -12,9 +12,9 @@ from dataclasses import astuple, dataclass, field, fields, replace
 import numpy as np
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues
-from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess

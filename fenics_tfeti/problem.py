@@ -14,12 +14,12 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_forms, as_geometry
+from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Exact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
-from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations

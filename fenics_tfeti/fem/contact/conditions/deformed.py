@@ -2,13 +2,15 @@
 
 The linearised condition (11.1) is exact if its normals are those of the deformed state and the
 partners are opposite each other in it. Here normals and gaps are measured on the deformed surfaces,
-between their facets, and nodes that slid get new partners.
+between their facets, and nodes that slid get new partners. A pass has the misfit of a solution.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+
+from mpi4py import MPI
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,6 +22,7 @@ from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
 from fenics_tfeti.fem.contact.conditions.surface_pairs import match_by_mortar
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
@@ -150,3 +153,50 @@ def _deformed_mortar(
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
+
+
+@dataclass(frozen=True)
+class GeometryPass:
+    """Misfit between the deformed surfaces and the contact conditions of one solution."""
+
+    penetration: float  # largest depth of a slave node in a master or an obstacle [m]
+    # largest distance, along the normal, of a loaded slave node from its master or obstacle [m]
+    separation: float
+    # largest distance, along the surface, between where mortar conditions let contact forces act on
+    # the master and what is opposite in the deformed state, relative to the size of the facets
+    slip: float
+    # angle between contact forces and the deformed normals, root of the mean square with the forces
+    # as weights [rad]: the part of the forces that acts along the surfaces
+    tilt: float
+    # largest of slip, tilt, and penetration and separation relative to the displacement
+    error: float
+    products: int  # applications of F in the solution
+    # wall time, summed over its phases, each the slowest rank's [s]; the first pass has the set-up
+    # too
+    seconds: float = 0.0
+
+
+def geometry_pass(
+    deformed: Sequence[DeformedContact],
+    results: Sequence[ContactResult],
+    displacement: Function,
+    products: int,
+) -> GeometryPass:
+    """Compare deformed surfaces with the conditions and forces of a solution. Collective."""
+    comm = displacement.function_space.mesh.comm
+    largest = np.array([0.0, 0.0, 0.0, np.abs(displacement.x.array).max(initial=0.0)])
+    sums = np.zeros(2)
+    for new, result in zip(deformed, results, strict=True):
+        loaded = result.active
+        slip = np.zeros(0) if new.slip is None else new.slip[loaded]
+        distances = (new.penetration, np.abs(new.distance[loaded]), slip)
+        largest[:3] = np.maximum(largest[:3], [part.max(initial=0.0) for part in distances])
+        force = result.normal_force[loaded]
+        rotation = np.linalg.norm((new.normal - result.normal)[loaded], axis=1)
+        sums += [np.sum(force * rotation**2), np.sum(force)]
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    comm.Allreduce(MPI.IN_PLACE, sums, MPI.SUM)
+    tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
+    penetration, separation, slip, size = largest.tolist()
+    error = max(penetration, separation) / size if size > 0.0 else 0.0
+    return GeometryPass(penetration, separation, slip, tilt, max(error, slip, tilt), products)
