@@ -15,8 +15,7 @@ from dolfinx.mesh import Mesh, meshtags
 from fenics_tfeti.fem.checks.cells import check_cells
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
-from fenics_tfeti.fem.contact.search.opposite import OppositeFacets
-from fenics_tfeti.fem.contact.surfaces.exterior import ExteriorFacets
+from fenics_tfeti.fem.contact.search.opposite import ExteriorFacets, OppositeFacets
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
