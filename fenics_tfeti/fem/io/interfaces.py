@@ -9,7 +9,7 @@ three of them meet, and nodes at the tip of a crack, around which all cells are 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from mpi4py import MPI
@@ -19,7 +19,13 @@ import numpy as np
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
+from fenics_tfeti.fem.io.tagged_mesh import (
+    Names,
+    TaggedMesh,
+    WholeMesh,
+    distribute,
+    tags_by_corners,
+)
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import (
     NO_TAG,
@@ -165,7 +171,7 @@ def _openings(
     cell_tags, facet_tags = (
         tags[tags != NO_TAG] for tags in map(np.unique, (whole.cell_tag, whole.facet_tag))
     )
-    names = whole.names
+    names = Names(whole.names)
     numbers = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
     free = 1 + max([0, *numbers, *(int(t.max(initial=0)) for t in (cell_tags, facet_tags))])
     added: dict[str, int] = {}
@@ -196,9 +202,7 @@ def _openings(
     return openings, {**names, **added}
 
 
-def _tag(tag: int | str, names: Mapping[str, int], existing: Numbers, kind: str) -> int:
-    if isinstance(tag, str) and tag not in names:
-        raise InputError(f"no body or surface has the name '{tag}'; the names are {sorted(names)}")
+def _tag(tag: int | str, names: Names, existing: Numbers, kind: str) -> int:
     number = int(names[tag] if isinstance(tag, str) else tag)
     if number not in existing:
         raise InputError(f"tag {number} is on no {kind}; the {kind} tags are {existing.tolist()}")

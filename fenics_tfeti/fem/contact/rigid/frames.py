@@ -33,7 +33,8 @@ class BodyFrame:
     corners: Vector  # (gdim + 1, gdim), undeformed [m]
     # without loads: the body, and its spring as an elastic body at the same nodes
     templates: list[Subdomain] = field(repr=False)
-    to_motion: Vector = field(repr=False)  # (modes, n): of displacements of the corners
+    # (modes, n): of displacements of the corners; its transpose makes forces there of a load
+    to_motion: Vector = field(repr=False)
     motion: Vector  # (modes,): translation [m], and the sum of small rotations [rad]
     turned: Rotation  # what the rotations make together, in space, in 2D about z
     load_on_cells: Vector | None = None  # (modes,): of the form on the cells of the mesh's body
@@ -78,7 +79,7 @@ class BodyFrame:
         """Return the body, and its spring if it has one, with the loads now, at a motion."""
         loads = [self.load, -self.body.stiffness @ self.with_prescribed(start)]
         return [
-            replace(template, load=self.nodal(load))
+            replace(template, load=load @ self.to_motion)
             for template, load in zip(self.templates, loads, strict=False)
         ]
 
@@ -89,10 +90,6 @@ class BodyFrame:
     def ahead(self, from_here: bool) -> Vector:
         """Return the motion (modes,) that is not among the unknowns, from where the body is."""
         return self.with_prescribed(from_here * self.motion) - self.motion
-
-    def nodal(self, load: Vector) -> Vector:
-        """Return forces (n,) at the corners with a resultant and a moment (modes,)."""
-        return load @ self.to_motion
 
     def moved(self, motion: Vector) -> BodyFrame:
         """Return the body after a further rotation, up to a sum of motions."""
@@ -273,7 +270,7 @@ class RigidBodies:
             body, modes = frame.body, _modes(frame.corners - frame.body.point)
             load = frame.load - body.stiffness @ frame.with_prescribed(frame.motion)
             load += forces[frame.nodes - first].ravel() @ modes
-            left.append(frame.nodal(np.where(body.is_free, load, 0.0)))
+            left.append(np.where(body.is_free, load, 0.0) @ frame.to_motion)
         return np.concatenate(left)
 
 
