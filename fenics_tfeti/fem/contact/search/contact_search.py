@@ -42,17 +42,7 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
 )
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
-from fenics_tfeti.fem.contact.search.roles import (
-    EXCHANGE_RATIO,
-    Roles,
-    as_exchanged,
-    as_given,
-    may_exchange,
-    nodal_stiffness,
-    roles_ratios,
-    swapped,
-    warn_of_roles,
-)
+from fenics_tfeti.fem.contact.search.roles import Roles, nodal_stiffness, roles_ratios
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
@@ -146,9 +136,8 @@ class ContactSearch:
         if id(contact) not in self._roles:
             roles, tags = Roles(contact, contact), (contact.slave, contact.master)
             is_rigid = [self.rigid.on_surface(contact.facet_tags, tag) for tag in tags]
-            if is_rigid == [True, False] and may_exchange(contact):
-                reason = "slave and master are exchanged: the given slave is rigid"
-                roles = replace(roles, used=swapped(contact), reason=reason)
+            if is_rigid == [True, False] and roles.may_exchange:
+                roles = roles.exchanged()
             self._roles[id(contact)] = roles
         return self._roles[id(contact)]
 
@@ -215,17 +204,15 @@ class ContactSearch:
             return found
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
         pairings = [found.contacts[index].undeformed for index in new]
-        better = []
-        for index, ratio in zip(new, roles_ratios(comm, pairings, stiffness), strict=True):
+        ratios, poor = roles_ratios(comm, pairings, stiffness), []
+        for index, ratio in zip(new, ratios, strict=True):
             roles = replace(found.contacts[index].roles, are_decided=True)
-            pair = roles.given
-            assert isinstance(pair, ContactPair)
-            if roles.used is pair and ratio is not None:
-                roles = as_given(pair, ratio)
-                if may_exchange(pair) and ratio > EXCHANGE_RATIO:
-                    better.append((pair, ratio))
-            self._roles[id(pair)] = roles
-        found = self._with_exchanged(found, contacts, better)
+            if roles.used is roles.given and ratio is not None:
+                roles = replace(roles, ratio=ratio).kept()
+                if roles.are_better_exchanged:
+                    poor.append(roles)
+            self._roles[id(roles.given)] = roles
+        found = self._with_exchanged(found, contacts, poor)
         decided = list(found.contacts)
         for index in new:
             roles = self._roles[id(decided[index].roles.given)]
@@ -233,34 +220,31 @@ class ContactSearch:
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 entry = decided[index]
-                warn_of_roles(entry.pairing.name, entry.roles)
+                entry.roles.warn(entry.pairing.name)
                 warn_of_deviation(entry.undeformed.summary)
         return replace(found, contacts=decided)
 
     def _with_exchanged(
-        self,
-        found: ContactSet,
-        contacts: Sequence[Contact | Tie],
-        pairs: Sequence[tuple[ContactPair, float]],
+        self, found: ContactSet, contacts: Sequence[Contact | Tie], poor: Sequence[Roles]
     ) -> ContactSet:
-        """Find conditions anew with slave and master of pairs exchanged, where that is possible.
+        """Find conditions anew with poor roles of pairs exchanged, where that is possible.
 
         Some surfaces can be masters only, as folded ones, or masters of other pairs: those pairs
-        are found by halves. With each pair there is the ratio of its given roles.
+        are found by halves.
         """
-        if not pairs:
+        if not poor:
             return found
-        self._roles |= {id(pair): as_exchanged(pair, ratio) for pair, ratio in pairs}
+        self._roles |= {id(roles.given): roles.exchanged() for roles in poor}
         try:
             return self.find(contacts, found.prescribed)
         except InputError as error:
             obstacle = str(error)
-        self._roles |= {id(pair): as_given(pair, ratio, obstacle) for pair, ratio in pairs}
-        if len(pairs) == 1:
+        self._roles |= {id(roles.given): roles.kept(obstacle) for roles in poor}
+        if len(poor) == 1:
             return found
-        half = len(pairs) // 2
-        found = self._with_exchanged(found, contacts, pairs[:half])
-        return self._with_exchanged(found, contacts, pairs[half:])
+        half = len(poor) // 2
+        found = self._with_exchanged(found, contacts, poor[:half])
+        return self._with_exchanged(found, contacts, poor[half:])
 
 
 def match_contacts(

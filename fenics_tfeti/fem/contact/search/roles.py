@@ -25,6 +25,8 @@ from fenics_tfeti.typing import Vector
 # numbers, so that bounds of the iterations differ by a factor of two.
 EXCHANGE_RATIO = 4.0
 
+_FACT = "E / h of the given slave is {:.2g} times that of the master"
+
 
 @dataclass(frozen=True)
 class Roles:
@@ -35,6 +37,68 @@ class Roles:
     ratio: float | None = None  # E / h of the slave over that of the master, as they are used
     reason: str | None = None  # for the report; None where the given roles are good ones
     are_decided: bool = False  # from the stiffness of the bodies
+
+    @property
+    def may_exchange(self) -> bool:
+        """Whether slave and master may be exchanged."""
+        pair = self.given
+        return isinstance(pair, ContactPair) and pair.roles == "auto" and not _one_sided_data(pair)
+
+    @property
+    def _are_poor(self) -> bool:
+        return self.ratio is not None and self.ratio > EXCHANGE_RATIO
+
+    @property
+    def are_better_exchanged(self) -> bool:
+        """Whether the given roles should be exchanged, and may be."""
+        return self._are_poor and self.may_exchange
+
+    def exchanged(self) -> Roles:
+        """Return exchanged roles: because of the ratio, or without one of a rigid slave."""
+        pair, why, ratio = self.given, "the given slave is rigid", None
+        assert isinstance(pair, ContactPair)
+        if self.ratio is not None:
+            why, ratio = _FACT.format(self.ratio), 1.0 / self.ratio
+        used = replace(pair, slave=pair.master, master=pair.slave)
+        reason = f"slave and master are exchanged: {why}"
+        return replace(self, used=used, ratio=ratio, reason=reason)
+
+    def kept(self, obstacle: str = "") -> Roles:
+        """Return the given roles as decided, with the error that exchanged ones raise, if any."""
+        pair, reason = self.given, None
+        assert isinstance(pair, ContactPair)
+        if self._are_poor:
+            data, why = _one_sided_data(pair), f"the other way round {obstacle}"
+            if pair.roles == "given":
+                why = "roles='given'"
+            elif data:
+                why = f"'{data}' belongs to the given slave"
+            fact = _FACT.format(self.ratio)
+            reason = f"slave and master are as given, though {fact}: {why}"
+        return replace(self, used=pair, reason=reason, are_decided=True)
+
+    def warn(self, name: str) -> None:
+        """Warn if the slave is much the stiffer or finer surface."""
+        largest_condition = 20.0
+        ratio = self.ratio or 0.0
+        if 1.0 + ratio > largest_condition:
+            warn_user(
+                f"{name}: the slave should be the softer surface, or of two equally stiff ones "
+                f"that with the larger facets. E / h of this one is {ratio:.0f} times that of the "
+                "master, which may cost iterations. Exchange slave and master; roles='auto' does "
+                "it, unless data of the contact belong to the given slave"
+            )
+
+
+def _one_sided_data(contact: ContactPair) -> str:
+    """Return the argument of a pair, if any, whose values belong to the slave that was given."""
+    law = contact.friction
+    one_sided = {
+        "normal": contact.normal is not None,
+        "initial_gap": callable(contact.initial_gap),
+        "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
+    }
+    return next((name for name, present in one_sided.items() if present), "")
 
 
 def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
@@ -62,59 +126,3 @@ def roles_ratios(
             slave, master = entries / nodes * (size / nodes) ** (1 - pairing.normal.shape[1])
             ratios[k] = float(slave / master) if master > 0.0 else 0.0
     return ratios
-
-
-def may_exchange(contact: ContactPair) -> bool:
-    """Tell whether slave and master of a pair may be exchanged."""
-    return contact.roles == "auto" and one_sided_data(contact) is None
-
-
-def swapped(contact: ContactPair) -> ContactPair:
-    """Return the pair with slave and master exchanged."""
-    return replace(contact, slave=contact.master, master=contact.slave)
-
-
-def one_sided_data(contact: ContactPair) -> str | None:
-    """Return the argument of a pair, if any, whose values belong to the slave that was given."""
-    law = contact.friction
-    one_sided = {
-        "normal": contact.normal is not None,
-        "initial_gap": callable(contact.initial_gap),
-        "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
-    }
-    return next((name for name, present in one_sided.items() if present), None)
-
-
-_FACT = "E / h of the given slave is {:.2g} times that of the master"
-
-
-def as_exchanged(contact: ContactPair, ratio: float) -> Roles:
-    """Return exchanged roles, for the ratio of the given ones."""
-    reason = f"slave and master are exchanged: {_FACT.format(ratio)}"
-    return Roles(contact, swapped(contact), 1.0 / ratio, reason, True)
-
-
-def as_given(contact: ContactPair, ratio: float, obstacle: str | None = None) -> Roles:
-    """Return the given roles with their ratio, and the error with exchanged ones, if any."""
-    if ratio <= EXCHANGE_RATIO:
-        return Roles(contact, contact, ratio, None, True)
-    data, why = one_sided_data(contact), f"the other way round {obstacle}"
-    if contact.roles == "given":
-        why = "roles='given'"
-    elif data is not None:
-        why = f"'{data}' belongs to the given slave"
-    reason = f"slave and master are as given, though {_FACT.format(ratio)}: {why}"
-    return Roles(contact, contact, ratio, reason, True)
-
-
-def warn_of_roles(name: str, roles: Roles) -> None:
-    """Warn if the slave is much the stiffer or finer surface."""
-    largest_condition = 20.0
-    ratio = roles.ratio or 0.0
-    if 1.0 + ratio > largest_condition:
-        warn_user(
-            f"{name}: the slave should be the softer surface, or of two equally stiff ones that "
-            f"with the larger facets. E / h of this one is {ratio:.0f} times that of the master, "
-            "which may cost iterations. Exchange slave and master; roles='auto' does it, unless "
-            "data of the contact belong to the given slave"
-        )
