@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
     BoltPreload,
     LinearRows,
     PeriodicPair,
+    Tie,
     TiedPair,
 )
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
@@ -123,8 +124,26 @@ class TiedPairing:
         )
 
 
-def tie_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask) -> TiedPairing:
-    """Find the conditions of a tied pair, with `prescribed_components`. Collective."""
+def rows_of_tie(
+    boundary: MeshBoundary, tie: Tie, number: int, name: str, fixed: Mask, known: Preload | None
+) -> TiedPairing:
+    """Return the rows of a tie, with `prescribed_components`. Collective.
+
+    A bolt of this number had the known preload.
+    """
+    match tie:
+        case TiedPair():
+            return _tied_surfaces(boundary, tie, name, fixed)
+        case PeriodicPair():
+            return _periodic_rows(boundary, tie, name)
+        case BoltPreload():
+            return _preload_rows(boundary, tie, number, name, known)
+        case LinearRows():
+            return _linear_rows(boundary, tie, name)
+
+
+def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask) -> TiedPairing:
+    """Find the conditions of a tied pair. Collective."""
     comm = boundary.nodes.comm
     slave, tagged_master = _surfaces(boundary, pair, name)
     master = gather_nearby(tagged_master, slave)
@@ -216,7 +235,7 @@ class _Match:
         return TiedPairing(surface.boundary, rows, self.nodes, area, summary)
 
 
-def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
+def _periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
     """Return the rows of a periodic pair. Collective."""
     comm, gdim = boundary.nodes.comm, boundary.nodes.components
     with raise_collectively(comm):
@@ -237,7 +256,7 @@ def periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> Tied
     return match.pairing("periodic", rows)
 
 
-def preload_rows(
+def _preload_rows(
     boundary: MeshBoundary, bolt: BoltPreload, number: int, name: str, known: Preload | None
 ) -> TiedPairing:
     """Return the rows of the cut through a bolt: across its axis and along it. Collective.
@@ -269,7 +288,7 @@ def preload_rows(
     return replace(match.pairing("bolt", rows), preload=preload)
 
 
-def linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:
+def _linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:
     """Return the user's rows, those with the slaves that this rank owns. Collective."""
     nodes = boundary.nodes
     gdim = nodes.components

@@ -22,24 +22,12 @@ from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
-from fenics_tfeti.fem.contact.conditions.ties import (
-    TiedPairing,
-    linear_rows,
-    periodic_rows,
-    preload_rows,
-    tie_surfaces,
-)
+from fenics_tfeti.fem.contact.conditions.ties import TiedPairing, rows_of_tie
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
-from fenics_tfeti.fem.contact.descriptions.ties import (
-    BoltPreload,
-    LinearRows,
-    PeriodicPair,
-    Tie,
-    TiedPair,
-)
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.search.roles import Roles, nodal_stiffness, roles_ratios
@@ -118,8 +106,11 @@ class ContactSearch:
             mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
             old = {k: mortar[id(tie)] for k, tie in ties.items() if id(tie) in mortar}
             unchanged, found_ties = _unchanged(self.boundary, old, fixed), []
+            preloads = {found.number: found.pairing.preload for found in last.ties}
             for k, tie in ties.items():
-                tied = unchanged.get(k) or self._tied(tie, k, last, fixed)
+                tied = unchanged.get(k) or rows_of_tie(
+                    self.boundary, tie, k, contact_name(tie, k), fixed, preloads.get(k)
+                )
                 master = self.rigid.master_of(tied.rows, tied.name)
                 found_ties.append(FoundTie(k, tie, tied, master))
             bodies = self._rigid_bodies(found_contacts, last.bodies, len(contacts))
@@ -140,20 +131,6 @@ class ContactSearch:
                 roles = roles.exchanged()
             self._roles[id(contact)] = roles
         return self._roles[id(contact)]
-
-    def _tied(self, tie: Tie, number: int, last: ContactSet, fixed: Mask) -> TiedPairing:
-        """Return the rows of a tie. Collective."""
-        name = contact_name(tie, number)
-        match tie:
-            case TiedPair():
-                return tie_surfaces(self.boundary, tie, name, fixed)
-            case PeriodicPair():
-                return periodic_rows(self.boundary, tie, name)
-            case BoltPreload():
-                known = {found.number: found.pairing.preload for found in last.ties}
-                return preload_rows(self.boundary, tie, number, name, known.get(number))
-            case LinearRows():
-                return linear_rows(self.boundary, tie, name)
 
     def _rigid_bodies(
         self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
