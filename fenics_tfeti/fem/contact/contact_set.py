@@ -109,8 +109,6 @@ class ContactSet:
     prescribed: Prescribed  # the supports that they were found with
     bodies: RigidBodies
     rigid: RigidNodes
-    # whether unknowns are displacements from the deformed state of the conditions
-    from_here: bool = False
 
     @property
     def pairings(self) -> list[ContactPairing]:
@@ -164,7 +162,7 @@ class ContactSet:
         if not sites:
             return Friction.none(nodes.components)
         displacement = origin.displacement - (0.0 if start is None else start)
-        displacement = self.rigid.relative_to_unknowns(displacement, self.bodies, self.from_here)
+        displacement = self.rigid.relative_to_unknowns(displacement, self.bodies)
         rows = contact_rows(self.pairings, nodes.components)
         return friction_rows(nodes, rows, sites, displacement)
 
@@ -183,7 +181,7 @@ class ContactSet:
         frame, u = self.bodies.frame_of(found.body), origin.displacement
         start = pairing.relative(nodes.coordinates + u.reshape(-1, nodes.components))
         slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
-        ahead = frame.displacements(frame.ahead(self.from_here), on.places)
+        ahead = frame.displacements(frame.ahead(self.bodies.from_here), on.places)
         return on.slave - start + ahead - slid
 
     def with_friction(self) -> ContactSet:
@@ -216,7 +214,7 @@ class ContactSet:
         """Return this rank's rigid bodies and unknown shortenings, numbered from `first` on."""
         first += len(self.bodies.frames)
         bolts = [p.subdomain(first + k) for k, (_, p) in enumerate(self._preloads)]
-        return self.bodies.subdomains(self.from_here) + bolts[self._own_preloads]
+        return self.bodies.subdomains() + bolts[self._own_preloads]
 
     @property
     def added_names(self) -> list[str]:
@@ -251,7 +249,7 @@ class ContactSet:
         """Return the motions of all rigid bodies after displacements of subdomains. Collective."""
         bolts = len(self._preloads[self._own_preloads])
         of_bodies = displacements[: len(displacements) - bolts]
-        return self.bodies.motions_after(of_bodies, self.from_here)
+        return self.bodies.motions_after(of_bodies)
 
     def deformed(
         self, uh: Function, bodies: RigidBodies | None = None, last: ContactSet | None = None

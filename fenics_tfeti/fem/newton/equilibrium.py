@@ -49,8 +49,8 @@ class DeformedRows:
         Slip is from the origin.
         """
         before = None if last is None else last.conditions
-        conditions = undeformed.deformed(uh, bodies, before)[0].with_friction()
-        conditions = replace(conditions.with_turned_bolts(uh), from_here=True)
+        conditions = undeformed.deformed(uh, replace(bodies, from_here=True), before)[0]
+        conditions = conditions.with_friction().with_turned_bolts(uh)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
         free = bodies.free_displacements(nodes.total)

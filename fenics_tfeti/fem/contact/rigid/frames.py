@@ -163,6 +163,8 @@ class RigidBodies:
     comm: MPI.Intracomm
     gdim: int
     frames: Sequence[BodyFrame] = ()
+    # whether unknowns are displacements from where bodies are, not from the undeformed state
+    from_here: bool = False
 
     @property
     def names(self) -> list[str]:
@@ -188,16 +190,11 @@ class RigidBodies:
         frames = [f.moved(motion) for f, motion in zip(self.frames, motions, strict=True)]
         return replace(self, frames=frames)
 
-    def subdomains(self, from_here: bool = False) -> list[Subdomain]:
-        """Return the subdomains of this rank, with their loads now.
+    def subdomains(self) -> list[Subdomain]:
+        """Return the subdomains of this rank, with their loads now."""
+        return [s for f in self._own for s in f.subdomains(self.from_here * f.motion)]
 
-        Their displacements are from the undeformed state, or from the places of the bodies.
-        """
-        return [s for f in self._own for s in f.subdomains(from_here * f.motion)]
-
-    def motions_after(
-        self, displacements: Sequence[Vector], from_here: bool = False
-    ) -> list[Vector]:
+    def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
         """Return motions after displacements that end with this rank's `subdomains`. Collective."""
         motions = np.zeros((len(self.frames), 3 if self.gdim == 2 else 6))
         position = len(displacements) - sum(len(frame.templates) for frame in self._own)
@@ -206,7 +203,7 @@ class RigidBodies:
             position += len(frame.templates)
         self.comm.Allreduce(MPI.IN_PLACE, motions)
         return [
-            frame.with_prescribed(motion + from_here * frame.motion)
+            frame.with_prescribed(motion + self.from_here * frame.motion)
             for frame, motion in zip(self.frames, motions, strict=True)
         ]
 

@@ -140,14 +140,12 @@ class RigidNodes:
             joined = frame.joined(joined, *(column[number[on] == k] for column in columns))
         return joined
 
-    def relative_to_unknowns(
-        self, displacement: Vector, bodies: RigidBodies, from_here: bool
-    ) -> Vector:
+    def relative_to_unknowns(self, displacement: Vector, bodies: RigidBodies) -> Vector:
         """Return a displacement (n,) less what is not among the unknowns at rigid nodes."""
         if not self.bodies:
             return displacement
         shift = self._state(bodies)[1]
-        if from_here:
+        if bodies.from_here:
             shift = np.zeros_like(self.x)
             for frame, on in self._frames(bodies):
                 at = frame.turned_places(self.x[on])
