@@ -120,29 +120,30 @@ class OppositeFacets:
             )
             needed = comm.allgather(BoxTree(around).boxes())
             chosen = facets_in_boxes(comm, needed, BoxTree(x))
-        number = first_of_rank(comm, n)[0] + np.arange(n)
-        columns = (number, facets.body, facets.vertices, x)
+        first_number = first_of_rank(comm, n)[0]
+        columns = (first_number + np.arange(n), facets.body, facets.vertices, x, reach)
         received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
-        number, body, vertices, corners = (np.concatenate(c) for c in zip(*received, strict=True))
+        number, body, vertices, corners, reach = map(np.concatenate, zip(*received, strict=True))
         nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
         points = corners.reshape(-1, gdim)[first]
         others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
         parts, measures = [np.zeros((0, 4), dtype=np.int64)], [np.zeros((0, 4))]
         if n:
-            surface = Facets(x.reshape(-1, gdim), np.arange(n * v).reshape(n, v))
-            planes, tree = Planes.of(x), MasterTree(others.facets)
-            areas = tree.planes.area
+            tree = MasterTree(others.facets)
+            planes, own = tree.planes, np.searchsorted(number, columns[0])
             for block in batches(n, 2048):
-                rows = np.arange(block.start, block.stop)
-                cells = overlapping_cells(surface, planes, rows, tree, reach)
-                cells = cells.select_pairs(body[cells.master] != facets.body[cells.slave])
+                cells = overlapping_cells(others.facets, planes, own[block], tree, reach)
+                cells = cells.select_pairs(body[cells.master] != body[cells.slave])
                 cells = cells.select_pairs(_is_near(cells, planes, others, body, reach))
                 cells = nearest_layers(cells, planes, tree)
-                bodies = (facets.body[cells.slave], body[cells.master])
-                parts.append(np.column_stack([*bodies, cells.slave, number[cells.master]]))
-                ratio = (areas[cells.master] / planes.area[cells.slave]) ** (1.0 / (gdim - 1))
-                normals = planes.normal[cells.slave], tree.planes.normal[cells.master]
-                cosine = -np.einsum("pd,pd->p", *normals)
+                pair = cells.slave, cells.master
+                facet, other = (number[side] for side in pair)
+                parts.append(
+                    np.column_stack([*(body[side] for side in pair), facet - first_number, other])
+                )
+                area, other_area = (planes.area[side] for side in pair)
+                ratio = (other_area / area) ** (1.0 / (gdim - 1))
+                cosine = -np.einsum("pd,pd->p", *(planes.normal[side] for side in pair))
                 gap = np.abs(cells.centre[1])
                 measures.append(np.column_stack([ratio, gap, reach[cells.slave], cosine]))
         return OppositeFacets(np.concatenate(parts), *np.concatenate(measures).T)
