@@ -67,10 +67,8 @@ def sorted_by(group: Numbers) -> tuple[Numbers, Numbers, Numbers]:
 
 
 def of_one_body(motions: sp.csc_matrix, modes: int) -> NDArray[np.bool_]:
-    """Tell which motions (modes * bodies, k), none of them empty, move one body only."""
+    """Tell which motions (modes * bodies, k > 0), none of them empty, move one body only."""
     body, starts = motions.indices // modes, motions.indptr[:-1]
-    if not starts.size:
-        return np.zeros(0, dtype=bool)
     return np.minimum.reduceat(body, starts) == np.maximum.reduceat(body, starts)
 
 
@@ -80,8 +78,6 @@ def orthonormal_columns(columns: sp.csr_matrix, others: sp.csr_matrix) -> sp.csr
     There are many columns (n, k) in small groups, and few others (n, l), which may share rows with
     all of them. The first k of the result are as sparse as the groups allow.
     """
-    if not columns.shape[1] + others.shape[1]:
-        return columns
     data, row, column = [np.zeros(0)], [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)]
     for groups in column_groups(columns):
         Q = np.linalg.qr(groups.dense)[0]

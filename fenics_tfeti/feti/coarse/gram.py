@@ -37,19 +37,20 @@ class GramInverse:
     def build(
         coarse_space: CoarseSpace,
         columns: sp.csr_matrix,
-        free: tuple[sp.csr_matrix, sp.csr_matrix],
+        free: sp.csr_matrix,
+        single: int,
         weak: sp.csr_matrix,
         on_rows: Callable[[Vector], Vector],
     ) -> GramInverse:
         """Factor A and correct its inverse. Collective.
 
         The columns (coarse, r) of G are those of the face but for the equality rows. Free are
-        motions (coarse, k) of one body and (coarse, l) of several, weak are z (modes * bodies, n)
-        of `BodyMotions`; on_rows maps x (m,) to its part on the rows of the face.
+        motions (coarse, k), the first of them of a single body, weak are z (modes * bodies, n) of
+        `BodyMotions`; on_rows maps x (m,) to its part on the rows of the face.
         """
         layout = coarse_space.layout
         gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
-        pins = _pins(coarse_space, gram, free, coarse_space.coarse_motions(weak))
+        pins = _pins(coarse_space, gram, free, single, weak)
         factor = layout.factor(
             layout.add_to_diagonal(gram, pins), coarse_space.motions_for_multigrid
         )
@@ -86,7 +87,8 @@ class GramInverse:
 def _pins(
     coarse_space: CoarseSpace,
     gram: sp.csr_matrix,
-    free: tuple[sp.csr_matrix, sp.csr_matrix],
+    free: sp.csr_matrix,
+    single: int,
     weak: sp.csr_matrix,
 ) -> Vector:
     """Return what is added to the diagonal of GG' for motions that are resisted too little.
@@ -94,13 +96,13 @@ def _pins(
     Weak motions are pinned so firmly that what resists them, the square of `WEAK` at most, is
     rounding beside the pin. That is relative to rows that resist fully: perhaps no row of GG' does.
     """
-    single, several = free
     added = np.zeros(coarse_space.layout.size)
-    if single.shape[1] + several.shape[1] + weak.shape[1]:
+    if free.shape[1] + weak.shape[1]:
         largest: float = coarse_space.layout.largest_diagonal(gram)
         row: float = coarse_space.longest_row**2
         pin = max(largest, rounding(row)) or 1.0
         if weak.shape[1]:
             pin = max(largest, row) / WEAK**2
-        added[pivot_rows(single, sp.hstack([several, weak], format="csr"))] = pin
+        several = sp.hstack([free[:, single:], coarse_space.coarse_motions(weak)], format="csr")
+        added[pivot_rows(free[:, :single], several)] = pin
     return added

@@ -75,14 +75,12 @@ class Projector:
             combined = constraints.friction.combined(across, rows.size)
             owned = combined[constraints.owned_sites]
         z, weak = coarse_space.weakly_resisted(rows, combinations=owned)
-        motions = coarse_space.coarse_motions(z)
-        alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
-        free = orthonormal_columns(motions[:, alone], motions[:, ~alone])
-        single = np.arange(free.shape[1]) < np.count_nonzero(alone)
+        free, single = _orthonormal_motions(coarse_space, z)
         gram = GramInverse.build(
             coarse_space,
             coarse_space.columns(rows, combined),
-            (free[:, single], free[:, ~single]),
+            free,
+            single,
             weak,
             partial(_on_rows, constraints.friction, rows, across),
         )
@@ -211,7 +209,7 @@ class Projector:
         own, others = self.gram.factor.solve_own(coarse_space.restrict_own(x))
         part = self.on_rows(coarse_space.prolong_own(own))
         weak = self.on_rows(self.gram.rows @ self.gram.weak_part(x))
-        Qx = part + self.on_rows(coarse_space.others.T @ others) + weak
+        Qx = part + self.on_rows(coarse_space.others_transposed @ others) + weak
         return part + coarse_space.constraints.layout.owned_part(weak), Qx
 
     def remove_rigid_motion(self, part: Vector, x: Vector) -> tuple[Vector, float]:
@@ -254,6 +252,15 @@ class Projector:
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)
+
+
+def _orthonormal_motions(coarse_space: CoarseSpace, z: sp.csr_matrix) -> tuple[sp.csr_matrix, int]:
+    """Return an orthonormal basis (coarse, k) of motions z, and how many of one body come first."""
+    if not z.shape[1]:
+        return sp.csr_matrix((coarse_space.size, 0)), 0
+    motions = coarse_space.coarse_motions(z)
+    alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
+    return orthonormal_columns(motions[:, alone], motions[:, ~alone]), np.count_nonzero(alone)
 
 
 def _on_rows(friction: FrictionRows, rows: Mask, across: Vector | None, x: Vector) -> Vector:

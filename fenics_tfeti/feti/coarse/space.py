@@ -131,6 +131,11 @@ class CoarseSpace:
         # made once: on small problems it takes longer than the product
         return self.own.T
 
+    @cached_property
+    def others_transposed(self) -> sp.csc_matrix:
+        """G' of other ranks' subdomains, (m, h), on the columns held here."""
+        return self.others.T
+
     def prolong(self, coarse: Vector) -> Vector:
         """Return G'a for a coarse vector of all ranks; one neighbour exchange."""
         return self.constraints.layout.sum(self.prolong_own(self.own_part(coarse)))
@@ -155,7 +160,7 @@ class CoarseSpace:
     def motions_of_rows(self, rows: Mask) -> sp.csr_matrix:
         """Return G' on some rows: the columns of this rank's coarse unknowns, then of `others`."""
         chosen = sp.diags(rows.astype(float))
-        return (chosen @ sp.hstack([self.own, self.others.T])).tocsr()
+        return (chosen @ sp.hstack([self.own, self.others_transposed])).tocsr()
 
     def coarse_load(self, forces: Vector) -> Vector:
         """Return R'f, the coarse load of forces on the torn unknowns; one gathering."""
@@ -206,11 +211,26 @@ class CoarseSpace:
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the rigid motions of bodies that some rows resist not at all, and weakly.
 
-        By default, motions count as weak if their resistance, squared in GG', would be lost to
-        rounding. Combinations (q, m) of rows, of unit length and owned by this rank, resist as
-        well. The motions z (modes * bodies, k) of `BodyMotions` are orthonormal; where bodies move
-        by themselves, each is that of one body. Collective.
+        The rows have all equality rows among them. By default, motions count as weak if their
+        resistance, squared in GG', would be lost to rounding. Combinations (q, m) of rows, of unit
+        length and owned by this rank, resist as well. The motions z (modes * bodies, k) of
+        `BodyMotions` are orthonormal; where bodies move by themselves, each is that of one body.
+        Collective.
         """
+        free, soft = self.softly_supported
+        if not free.shape[1] + soft.shape[1]:
+            # the equality rows resist more than that already
+            return free, soft
+        return self._resisted(rows, below, combinations)
+
+    @cached_property
+    def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        """The motions of bodies that equality rows resist not at all, and softly: (z, z)."""
+        return self._resisted(self.constraints.equality, _SOFTLY, None)
+
+    def _resisted(
+        self, rows: Mask, below: float, combinations: sp.csr_matrix | None
+    ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         owned = np.flatnonzero(rows[: self.constraints.layout.owned])
         unresisted = max(ZERO, self.bodies.rounding)
         moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
@@ -225,11 +245,6 @@ class CoarseSpace:
         )
         free = resistance <= unresisted
         return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
-
-    @cached_property
-    def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """The motions of bodies that equality rows resist not at all, and softly: (z, z)."""
-        return self.weakly_resisted(self.constraints.equality, _SOFTLY)
 
     def coarse_motions(self, z: Any) -> Any:
         """Return the coarse vectors of motions z of bodies, sparse if these are."""

@@ -112,7 +112,8 @@ class GramInverse:
         >>> inverse.solve(np.array([1.0, 1.0, 2.0])).round(12).tolist()
         [0.5, 0.5, 2.0]
         """
-        independent, columns = chosen.copy(), [sp.csc_matrix((chosen.size, 0))]
+        independent, number = chosen.copy(), 0
+        row, column, data = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
         for members in groups:
             rows_of_group = members[chosen[members]]
             null = null_space(_block(W, rows_of_group))
@@ -120,14 +121,15 @@ class GramInverse:
                 # rows without which the others are independent
                 pivots = qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]
                 independent[rows_of_group[pivots]] = False
-                places = (
-                    np.repeat(rows_of_group, null.shape[1]),
-                    np.tile(np.arange(null.shape[1]), rows_of_group.size),
-                )
-                columns.append(sp.csc_matrix((null.ravel(), places), (chosen.size, null.shape[1])))
+                row.append(np.repeat(rows_of_group, null.shape[1]))
+                column.append(np.tile(number + np.arange(null.shape[1]), rows_of_group.size))
+                data.append(null.ravel())
+                number += null.shape[1]
         rows = np.flatnonzero(independent)
         factor = _factor(W[rows][:, rows]) if rows.size else None
-        return GramInverse(chosen, rows, sp.hstack(columns, format="csr"), factor)
+        where = (np.concatenate(row), np.concatenate(column))
+        N = sp.csr_matrix((np.concatenate(data), where), (chosen.size, number))
+        return GramInverse(chosen, rows, N, factor)
 
     def solve(self, b: Vector) -> Vector:
         """Return W_RR^+ b_R as a vector (w,), zero outside R."""

@@ -96,10 +96,9 @@ class Deflation:
         own = _columns(constraints, vectors, first, total)
         everyone = constraints.layout.sum_sparse(own)
         projector = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
-        X, W, V, squares = _coefficients(projector, everyone)
-        parts = sp.hstack(
-            [everyone, coarse_space.motions_of_rows(constraints.equality), sp.csr_matrix(W)]
-        )
+        G = coarse_space.motions_of_rows(constraints.equality)
+        X, W, V, squares = _coefficients(projector, G, everyone)
+        parts = sp.hstack([everyone, G, sp.csr_matrix(W)])
         forces = (coarse_space.interface.transposed @ parts.tocsr()).tocsr()
         combination = np.vstack([np.identity(total), -X, -V])
         responses, gram = _responses(coarse_space, on_interface, forces, combination)
@@ -260,13 +259,15 @@ def _columns(
     return sp.csr_matrix((values, (constraints.layout.local(rows), places)), shape=shape)
 
 
-def _coefficients(projector: Projector, C: sp.csr_matrix) -> tuple[Vector, Vector, Vector, Vector]:
+def _coefficients(
+    projector: Projector, G: sp.csr_matrix, C: sp.csr_matrix
+) -> tuple[Vector, Vector, Vector, Vector]:
     """Return X, W and V of P_E C = C - G_E'X - WV, and the squares of the lengths of its columns.
 
-    The columns of C are those of all ranks, of length 1. Collective.
+    G are the motions of the equality rows; the columns of C are those of all ranks, of length 1.
+    Collective.
     """
     coarse_space, layout = projector.coarse_space, projector.coarse_space.layout
-    G = coarse_space.motions_of_rows(projector.rows)
     restriction = G[:, : int(coarse_space.ends[-1])].T
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
     gram = projector.gram

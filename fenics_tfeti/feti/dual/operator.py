@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -77,7 +78,11 @@ class DualOperator:
 
     def constraint_forces(self, multipliers: Vector) -> Vector:
         """Return B'lambda on this rank's torn unknowns."""
-        return self.constraints.matrix.T @ multipliers
+        return self._transposed @ multipliers
+
+    @cached_property
+    def _transposed(self) -> sp.csc_matrix:
+        return self.constraints.matrix.T
 
     def jumps(self, displacement: Vector) -> Vector:
         """Return Bu of a torn displacement; one neighbour exchange."""

@@ -13,6 +13,7 @@ from stiff_half import stiff_half
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
+from fenics_tfeti.feti.coarse import space
 from fenics_tfeti.feti.coarse.projector import Projector
 
 SOLVER = TornSolver(column())
@@ -154,3 +155,11 @@ def test_friction_on_a_face(system, turning, sticking):
     np.testing.assert_allclose(projector.part_of_P(y), P @ y, atol=1e-11)
     free = np.linalg.matrix_rank(dense.G @ dense.G.T) - np.linalg.matrix_rank(G, tol=1e-9)
     assert projector.free.shape[1] == free
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_motions_are_looked_for_once_where_equality_rows_resist_all(monkeypatch, held):
+    faces, find = [], space.weak_motions
+    monkeypatch.setattr(space, "weak_motions", lambda *args: faces.append(args) or find(*args))
+    TornSolver(column(contact=not held)).solve()
+    assert (len(faces) == 1) == held
