@@ -1,8 +1,12 @@
 """Stiffness of contact forces whose directions turn with the surfaces.
 
-The gap of a pair has the second variation 2 (du_slave - du_master)'dn, and the normal turns by
-dn = -(grad du)'n along the surface. Where contact is closed both surfaces turn alike, so each body
-can take its own normal: the stiffness is a sum over the bodies, and stays with their subdomains.
+The gap of a pair has the second variation (du_slave - du_master)'(dn_slave + dn_master), and a
+normal turns by dn = -(grad du)'n along its surface. Where contact is closed the normals stay
+opposite each other: they turn alike but for the curvature Q = grad n of the surface along which
+they slide, dn_slave - dn_master = Q (du_slave - du_master). So the second variation is a difference
+of the bodies' own 2 du'dn - du'Q du: the stiffness is a sum over the bodies, and stays with their
+subdomains. At the rim of the contact the surfaces part, and Q counts less and less: with the least
+pressure nearby, as a Q that comes and goes makes steps alternate.
 
 An obstacle on a rigid body turns with it, so that its slave has such a stiffness, too. The rigid
 body has none. Where friction sticks, the parts of the two would cancel, as nothing slides: there
@@ -19,17 +23,18 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 import ufl
-from dolfinx.fem import Function
+from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions, cell_dofs, element_facts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_type
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # nodes are far from the contact from this part of the largest distance on
 _FAR = 0.8
@@ -45,21 +50,24 @@ class ContactStiffness:
         if turning:
             facets = [c.facet_tags.find(tag) for c in turning for tag in surface_tags(c)]
             self._at_vertices = _at_vertices(self._nodes)
-            self._pressure, self._forms = _forms(u, np.unique(np.concatenate(facets)), compiler)
+            self._pressure, self._normal, self._forms = _forms(
+                u, np.unique(np.concatenate(facets)), compiler
+            )
+            self._without_curvature = _without_curvature(u.function_space, turning)
 
     def matrices(self, torn: TornMesh, force: Vector) -> list[sp.csr_matrix | None]:
         """Return the stiffness of nodal forces (owned, gdim) on each subdomain. Collective."""
         comm = self._nodes.comm
         if self._forms is None or not comm.allreduce(float(np.abs(force).sum())):
             return [None] * len(torn.subdomains)
-        self._fill_pressure(force, torn.load(self._forms))
+        self._fill(force, torn.load(self._forms))
         return [K if np.abs(K.data).max(initial=0.0) else None for K in torn.matrices(self._forms)]
 
-    def _fill_pressure(self, force: Vector, area: Vector) -> None:
-        """Find the pressure of degree 1 from forces and areas (owned, gdim) of nodes. Collective.
+    def _fill(self, force: Vector, area: Vector) -> None:
+        """Find pressure and normal from forces and areas (owned, gdim) of nodes. Collective.
 
-        Both are summed over shape functions of degree 1: those of degree 2 at the vertices of
-        triangles have an area of zero.
+        They are of degree 1, and so are the shape functions over which both are summed: those of
+        degree 2 at the vertices of triangles have an area of zero.
         """
         nodes, weights = self._nodes, self._at_vertices
         sums = weights[: nodes.owned].T @ np.hstack([force, area])
@@ -68,12 +76,36 @@ class ContactStiffness:
         force, area = np.hsplit(sums, 2)
         square = np.sum(area**2, axis=1)
         pressing = np.maximum(np.sum(force * area, axis=1), 0.0)
-        pressure = self._pressure.x.array.reshape(nodes.size, -1)[:, 0]
-        pressure[: nodes.owned] = np.divide(
+        pressure, normal = (
+            f.x.array.reshape(nodes.size, -1) for f in (self._pressure, self._normal)
+        )
+        pressure[: nodes.owned, 0] = np.divide(
             pressing, square, out=np.zeros_like(square), where=square > 0.0
         )
+        normal[: nodes.owned] = unit(area)
         self._pressure.x.scatter_forward()
-        pressure[:] = weights @ pressure
+        self._normal.x.scatter_forward()
+        pressure[:, 1] = pressure[:, 0]
+        # normals at the rim are means with those of facets that are not in contact
+        for _ in range(2):
+            pressure[: nodes.owned, 1] = self._least_around(pressure[:, 1], normal)
+            self._pressure.x.scatter_forward()
+        pressure[:, :2] = weights @ pressure[:, :2]
+        normal[:] = weights @ normal
+
+    def _least_around(self, pressure: Vector, normal: Vector) -> Vector:
+        """Return the least pressure around each owned vertex. Collective.
+
+        The pressures (size,) and normals (size, gdim) are those at vertices.
+        """
+        nodes, on_surface = self._nodes, normal.any(axis=1)
+        values = np.where(on_surface, np.where(self._without_curvature, 0.0, pressure), np.inf)
+        cells = cell_dofs(nodes.space)
+        cells = cells[on_surface[cells].any(axis=1)]
+        least = np.repeat(values[cells].min(axis=1), cells.shape[1])
+        chosen = on_surface[cells.ravel()]
+        around = nodes.to_global(cells.ravel()[chosen])
+        return nodes.sum_at_owners(around, least[chosen], np.minimum)
 
 
 def has_turning_normals(contact: Contact) -> bool:
@@ -93,10 +125,14 @@ def with_contact_stiffness(subdomain: Subdomain, K: sp.csr_matrix) -> Subdomain:
 
 def _forms(
     u: Function, facets: Numbers, compiler: CompilerOptions
-) -> tuple[Function, PreparedForms]:
-    """Return the pressure, the first component of a function, and its stiffness and nodal areas."""
+) -> tuple[Function, Function, PreparedForms]:
+    """Return the pressure, the normal, and the stiffness with them and nodal areas.
+
+    The first component of the pressure's function is that on normals that turn, the second one that
+    on the curvature.
+    """
     V = u.function_space
-    mesh, pressure = V.mesh, Function(V, name="contact_pressure")
+    mesh, pressure, normal = V.mesh, Function(V, name="contact_pressure"), Function(V)
     degree = element_facts(V)[1]
     tags = meshtags(mesh, mesh.topology.dim - 1, facets, np.ones(facets.size, dtype=np.int32))
     ds = ufl.Measure("ds", mesh, subdomain_data=tags, metadata={"quadrature_degree": 2 * degree})(1)
@@ -106,12 +142,37 @@ def _forms(
     n = area / size
     v, du = ufl.TestFunction(V), ufl.TrialFunction(V)
 
-    def sliding_and_turning(a: ufl.core.expr.Expr, b: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
-        return ufl.inner(a - ufl.inner(a, n) * n, (ufl.grad(b) * inverse).T * n)
+    def sliding(a: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+        return a - ufl.inner(a, n) * n
 
-    energy = sliding_and_turning(v, du) + sliding_and_turning(du, v)
-    stiffness = -pressure[0] * energy * size * ds
-    return pressure, prepare_forms(V, stiffness, ufl.inner(area, v) * ds, compiler)
+    def turning(a: ufl.core.expr.Expr) -> ufl.core.expr.Expr:
+        return -(ufl.grad(a) * inverse).T * n
+
+    curvature = ufl.sym(ufl.grad(normal) * inverse)
+    energy = ufl.inner(sliding(v), turning(du)) + ufl.inner(sliding(du), turning(v))
+    stiffness = pressure[0] * energy - pressure[1] * ufl.inner(sliding(v), curvature * sliding(du))
+    stiffness = stiffness * size * ds
+    return pressure, normal, prepare_forms(V, stiffness, ufl.inner(area, v) * ds, compiler)
+
+
+def _without_curvature(V: FunctionSpace, contacts: Sequence[Contact]) -> Mask:
+    """Tell which nodes (size,) are on several tagged surfaces or have friction. Collective.
+
+    Normals of several surfaces are those of none. Friction forces turn along the curvature, too, by
+    a stiffness that is not symmetric; with the symmetric part alone there are more steps.
+    """
+    surfaces, with_friction = {}, set()
+    for contact in contacts:
+        for tag in surface_tags(contact):
+            key = id(contact.facet_tags), tag
+            surfaces[key] = contact.facet_tags.find(tag)
+            if contact.friction is not None:
+                with_friction.add(key)
+    number = np.zeros(NodeMap(V).size)
+    for key, facets in surfaces.items():
+        nodes = locate_dofs_topological(V, V.mesh.topology.dim - 1, facets)
+        number[nodes] += 2.0 if key in with_friction else 1.0
+    return number > 1.0
 
 
 def _at_vertices(nodes: NodeMap) -> sp.csr_matrix:
