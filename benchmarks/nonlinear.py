@@ -7,12 +7,13 @@ Cases are those of tests/nonlinear: a block pressed in by a rigid ball by a thir
 beam bent over a cylinder, an ironed block with and without friction. A row has the Newton steps of
 each load step and, over all of them, the mean products and the largest number of negative
 directions. With `--divisions` the block is ironed with so many cells over its height instead,
-pressed in one load step and dragged in another; processor seconds are those of the slowest rank,
+pressed in one load step and dragged in others; processor seconds are those of the slowest rank,
 bytes those of all ranks together.
 """
 
 from __future__ import annotations
 
+import math
 import time
 
 from mpi4py import MPI
@@ -65,15 +66,18 @@ def run(cases=tuple(CASES), divisions=()):
 
 
 def sized(n):
-    """Press the die down by 0.3 in one load step, and drag it by half its radius in another."""
+    """Press the die down by 0.3, and drag it by 0.3 in load steps of at most 16 cells."""
     scene, start = ironing(n=n), time.process_time()
-    for name, load in {"press": 1.0, "drag": 1.2}.items():
-        scene.solve([load])
-        report = scene.problem.report
+    drags = np.linspace(1.0, 1.2, 1 + math.ceil(0.3 * n / 16))
+    for name, loads in {"press": drags[:1], "drag": drags[1:]}.items():
+        each = []
+        for load in loads:
+            scene.solve([load])
+            each.append(scene.problem.report.newton)
         yield {
-            **row(f"ironing, {name}", report, [report.newton]),
+            **row(f"ironing, {name}", scene.problem.report, each),
             "cpu": MPI.COMM_WORLD.allreduce(time.process_time() - start, MPI.MAX),
-            "bytes": report.peak_memory_bytes,
+            "bytes": scene.problem.report.peak_memory_bytes,
         }
 
 
