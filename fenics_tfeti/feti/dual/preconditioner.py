@@ -17,9 +17,8 @@ import numpy as np
 import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.linalg import null_space
 
-from fenics_tfeti.feti.constraints.coupling import GramInverse
+from fenics_tfeti.feti.constraints.coupling import GramInverse, null_space
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.direct_faces import DirectFaces
@@ -154,7 +153,7 @@ class Preconditioner:
         _, first, at = np.unique(site[turning], return_index=True, return_inverse=True)
         places, shape = (at.ravel(), turning), (first.size, site.size)
         fixed = _without_rounding(sp.csr_matrix((along[turning], places), shape) @ kernel)
-        kernel = kernel @ null_space(fixed, rcond=ZERO)
+        kernel = kernel @ null_space(fixed.T @ fixed)
         moved = _without_rounding(sp.csr_matrix((turns[turning], places), shape) @ kernel)
         return kernel, moved, curvature[turning[first]][:, None]
 

@@ -158,8 +158,10 @@ def test_forces_that_turn_by_rounding_do_not_see_the_kernel(seed):
     rows = constraints.face(active, ~on_floor) | friction.on_rows(on_floor, constraints.size)
     curvature = np.where(on_floor, 1.0, 0.0)
     assert preconditioner.on_kernel(rows, across, curvature, 0.0) is None
-    # forces along x turn along y, where those of the wall stick: the kernel is seen
-    turned = preconditioner.on_kernel(rows, balls.tangents(across), curvature, 0.0)
+    # forces along x turn along y, where those of the wall stick: the kernel is seen. They may have
+    # a little along y
+    tangents = balls.tangents(across) + 1e-8 * across
+    turned = preconditioner.on_kernel(rows, tangents, curvature, 0.0)
     x = np.random.default_rng(seed).standard_normal(constraints.size)
     assert 0.0 < np.abs(turned(x)).max() <= 10.0
 
