@@ -1,8 +1,11 @@
-"""Pairs of bricks that are found: forces, and what the search and open joints cost."""
+"""Pairs that are found give the solution of named pairs: bolt, pile, bearing, a wall of bricks."""
+
+from __future__ import annotations
 
 import gc
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from mpi4py import MPI
@@ -13,9 +16,16 @@ import pytest
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, Coulomb, Plane, RigidObstacle, find_contacts
-from fenics_tfeti.io import boxes, displacement_space
-from fenics_tfeti.models import isotropic
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    find_contacts,
+)
+from fenics_tfeti.io import boxes, displacement_space, read_msh
+from fenics_tfeti.models import isotropic, symmetry_plane
 
 ROOT = Path(__file__).parents[2]
 COMM = MPI.COMM_SELF
@@ -29,6 +39,93 @@ def forms(mesh, load, modulus=2.1e11):
     u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
     a = ufl.inner(isotropic(modulus, 0.3)(u), ufl.grad(v)) * ufl.dx
     return V, a, ufl.inner(fem.Constant(mesh, np.array(load, dtype=float)), v) * ufl.dx
+
+
+def test_bolt_in_lug():
+    """With the clearance of the demo, which the mesh has not."""
+    parts = read_msh(ROOT / "meshes" / "bolt_in_lug.msh", COMM)
+    facets, tags = parts.facet_tags, parts.names
+    V, a, L = forms(parts.mesh, (1e9, 0, 0))
+    clamped = fem.locate_dofs_topological(V, 2, facets.find(tags["clamped"]))
+    bcs = [fem.dirichletbc(np.zeros(3), clamped, V)]
+    bcs += [
+        symmetry_plane(V, facets, tags[f"symmetry_{axis}"], k) for k, axis in ((1, "y"), (2, "z"))
+    ]
+    named = ContactPair(facets, tags["lug surface"], tags["bolt surface"])
+    (found,) = find_contacts(parts.mesh, parts.cell_tags)
+    solutions = []
+    for pair in (named, found):
+        pair = replace(pair, initial_gap=lambda x: 2e-5 * (1 + x[0] / 0.01))
+        problem = ContactProblem(a, L, bcs=bcs, contacts=pair, options={"rtol": 1e-8})
+        solutions.append(problem.solve().x.array.copy())
+    assert np.abs(solutions[1] - solutions[0]).max() < 1e-6 * np.abs(solutions[0]).max()
+
+
+@pytest.mark.parametrize("gdim", [2, pytest.param(3, marks=pytest.mark.heavy)])
+def test_pile_of_cylinders(gdim):
+    """More of the discs is found than has tags, but no more of it touches."""
+    name = "pile_of_cylinders" if gdim == 2 else "pile_of_cylinders_3d"
+    parts = read_msh(ROOT / "meshes" / f"{name}.msh", COMM, gdim=gdim)
+    facets, tags, up = parts.facet_tags, parts.names, np.eye(gdim)[1]
+    _, a, L = forms(parts.mesh, -9810.0 * up, 0.5e9)
+    obstacles, named = [], []
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        wall = Plane(-0.55 * sign * np.eye(gdim)[0], sign * np.eye(gdim)[0])
+        obstacles += [
+            RigidObstacle(facets, tags[f"{side} floor"], Plane(np.zeros(gdim), up)),
+            RigidObstacle(facets, tags[f"{side} wall"], wall),
+        ]
+        named.append(ContactPair(facets, tags[f"{side} top"], tags[f"top {side}"]))
+    forces = []
+    for pairs in (named, find_contacts(parts.mesh, parts.cell_tags)):
+        problem = ContactProblem(a, L, contacts=[*pairs, *obstacles], options={"rtol": 1e-8})
+        problem.solve()
+        forces.append([contact.force for contact in problem.report.contacts])
+    assert np.abs(np.subtract(*forces)).max() < 1e-6 * np.abs(forces[0]).max()
+
+
+@pytest.mark.heavy
+@pytest.mark.filterwarnings("ignore:find_contacts. 16 pairs of bodies:UserWarning")
+def test_roller_bearing(tmp_path):
+    """32 pairs of rollers and rings: loads as with four named pairs, in not many more products."""
+    sys.path.insert(0, str(ROOT / "meshes"))
+    from roller_bearing import roller_bearing, small_bearing
+
+    bearing = small_bearing()
+    roller_bearing(tmp_path / "bearing.msh", bearing)
+    parts = read_msh(tmp_path / "bearing.msh", COMM, gdim=3)
+    facets, tags = parts.facet_tags, parts.names
+    V, a, _ = forms(parts.mesh, (0, 0, 0))
+    bore = ufl.Measure("ds", domain=parts.mesh, subdomain_data=facets)(tags["bore"])
+    traction = fem.Constant(parts.mesh, np.array([0.0, -2e7, -4e6]))
+    L = ufl.inner(traction, ufl.TestFunction(V)) * bore
+    outside = fem.locate_dofs_topological(V, 2, facets.find(tags["outside"]))
+    named = [
+        ContactPair(facets, tags[f"rollers {row} {side}"], tags[f"{side} raceway {row}"])
+        for row in (1, 2)
+        for side in ("outer", "inner")
+    ]
+    loads, products = [], []
+    for pairs in (named, find_contacts(parts.mesh, parts.cell_tags)):
+        problem = ContactProblem(
+            a,
+            L,
+            bcs=fem.dirichletbc(np.zeros(3), outside, V),
+            contacts=pairs,
+            cell_tags=parts.cell_tags,
+            options={"rtol": 1e-6, "preconditioner": "dirichlet", "deflation": "on"},
+        )
+        problem.solve()
+        of_rollers = np.zeros((2, bearing.rollers))
+        for contact in problem.results:
+            x = contact.coordinates
+            row = int(x[:, 2].mean() > 0.0)
+            np.add.at(of_rollers[row], bearing.roller_of(x.T), contact.normal_force)
+        loads.append(of_rollers)
+        products.append(problem.report.products["total"])
+    assert len(pairs) == 32
+    assert np.abs(loads[1] - loads[0]).max() < 1e-4 * loads[0].max()
+    assert products[1] < 2.0 * products[0]
 
 
 def test_head_joints_that_are_open_have_no_friction():

@@ -1,5 +1,7 @@
 """Roller bearings: balance, free motions, loads of the rollers, pressures along a roller."""
 
+from __future__ import annotations
+
 import itertools
 from dataclasses import replace
 from importlib import import_module
@@ -206,6 +208,72 @@ def test_line_contact(meshes, tmp_path):
     q = line[middle] / np.gradient(x)[middle]
     hertz = np.sqrt(q * YOUNG / (1 - POISSON**2) / (np.pi * bearing.radius))
     assert pressure[middle] == pytest.approx(hertz, rel=0.05)
+
+
+@pytest.mark.heavy
+def test_edge_pressure(meshes, tmp_path):
+    """Straight rollers press most at their ends on the longer raceway, crowned ones do not."""
+    ratios = []
+    for crowning in (0.0, 60e-6):
+        bearing = coarse(meshes, rows=1, layers=10, shortest=0.3, crowning=crowning)
+        name = tmp_path / f"{crowning}.msh"
+        found = Loaded(meshes, name, bearing, np.array([0.0, 0.0, -400e3]))
+        contact = found.problem.results[1]
+        first = bearing.roller_of(contact.coordinates.T) == 0
+        centres, axes, _ = bearing.lines(1)
+        x = ((contact.coordinates[first] - centres[0]) @ axes[0]).round(9)
+        stations = np.unique(x)
+        line = np.array([contact.normal_force[first][x == place].sum() for place in stations])
+        # half a mesh size belongs to the nodes at the ends
+        size = np.gradient(stations)
+        size[[0, -1]] *= 0.5
+        line /= size
+        ratios.append(line[[0, -1]].max() / line[len(line) // 2])
+    assert ratios[0] > 1.3
+    assert ratios[1] < 0.7
+
+
+def rigid_rings(found, load, stiffness):
+    """Return the loads of the rollers between rigid rings, for Q = stiffness d^(10/9)."""
+    from scipy.optimize import fsolve
+
+    bearing = found.bearing
+    rows = range(1, bearing.rows + 1)
+    centres, _, out = (
+        np.concatenate(parts) for parts in zip(*map(bearing.lines, rows), strict=True)
+    )
+    levers = np.cross(centres, out)[:, :2]
+
+    def loads(motion):
+        approach = 1e-3 * (out @ motion[:3] + levers @ motion[3:]) - bearing.clearance
+        return stiffness * np.maximum(approach, 0.0) ** (10 / 9)
+
+    def missing(motion):
+        Q = loads(motion)
+        return np.append(load - Q @ out, -Q @ levers) / np.linalg.norm(load)
+
+    return loads(fsolve(missing, [0.0, -0.1, -0.05, 0.0, 0.0])).reshape(bearing.rows, -1)
+
+
+@pytest.mark.heavy
+def test_load_distribution_of_rigid_rings(meshes, tmp_path):
+    """The loads by Sjövall's model, and nothing outside its loaded zone; balance.
+
+    Without clearance and crowning the model's loads do not depend on its stiffness. It leaves out
+    that rollers resist a tilt of the rings, and the elastic rings.
+    """
+    bearing = coarse(meshes, layers=6, clearance=0.0, crowning=0.0)
+    load = np.array([0.0, -800e3, -160e3])
+    palmgren = 80.6e3 * (1e3 * bearing.length) ** (8 / 9) * 1e3 ** (10 / 9)
+    for stiffer in (1.0, 30.0):
+        found = Loaded(meshes, tmp_path / f"{stiffer}.msh", bearing, load, stiffer)
+        outer = found.forces[0] + found.forces[2]
+        inner = found.forces[1] + found.forces[3]
+        np.testing.assert_allclose(outer, load, atol=1e-6 * 800e3)
+        np.testing.assert_allclose(inner, -load, atol=1e-6 * 800e3)
+        rigid = rigid_rings(found, load, palmgren)
+        np.testing.assert_allclose(found.loads, rigid, atol=0.08 * rigid.max())
+        assert (found.loads[rigid == 0.0] < 0.01 * rigid.max()).all()
 
 
 def under_axial_load(meshes, path, sector):
