@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, first_few
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results, RigidBodyResult
@@ -18,7 +18,7 @@ from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
-from fenics_tfeti.feti.report.report import without_nan
+from fenics_tfeti.feti.report.report import FEW_LINES, without_nan
 from fenics_tfeti.parallel import raise_collectively
 
 
@@ -62,9 +62,11 @@ class ContactReport(Report):
         return cls(**{**vars(report), **added, **more})
 
     def __str__(self) -> str:
-        """Return the main figures and the pairing as lines to read."""
-        table = [self.pairing_table()] if self.contacts else []
+        """Return the main figures and the pairing of the first contacts as lines to read."""
+        head, *table = self.pairing_table().splitlines()
+        table = [head, *first_few(table, FEW_LINES, "contacts")] if table else []
         roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
+        roles = first_few(roles, FEW_LINES, "contacts")
         return "\n".join([*table, *roles, self.summary(self._units.force)])
 
     def to_html(

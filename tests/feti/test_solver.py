@@ -75,15 +75,23 @@ def test_motion_without_load_is_reported_and_left_small():
     np.testing.assert_allclose([c.normal_force for c in report.contacts], 1.0, rtol=1e-7)
 
 
-def test_of_many_free_motions_the_text_has_six_and_the_number_of_others():
+@pytest.mark.parametrize(
+    ("listed", "name", "few"),
+    [("free_motions", "free motion", 6), ("weak_motions", "weak motion", 6)],
+)
+def test_of_many_motions_the_text_has_few_and_the_number_of_others(listed, name, few):
     report = TornSolver(column()).solve().report
-    many = dataclasses.replace(report, free_motions=[f"body {k}: slides" for k in range(20)])
-    lines = [line for line in str(many).splitlines() if "free motion  " in line]
-    assert len(lines) == 7
-    assert lines[5:] == [
-        "     free motion  body 5: slides",
-        "     free motion  and 14 other free motions",
-    ]
+    many = dataclasses.replace(report, **{listed: [f"body {k}: slides" for k in range(20)]})
+    lines = [line for line in str(many).splitlines() if f"{name}  " in line]
+    assert lines[few - 1 :] == [f"{name:>16}  body 5: slides", f"{name:>16}  and 14 other {name}s"]
+
+
+def test_of_many_contacts_the_text_has_few_and_the_number_of_others():
+    report = TornSolver(column()).solve().report
+    many = dataclasses.replace(report, contacts=20 * report.contacts)
+    lines = [line for line in str(many).splitlines() if "force on slave" in line]
+    assert len(lines) == 13
+    assert lines[-1] == "  force on slave  and 8 other contacts"
 
 
 def test_limit():

@@ -37,6 +37,8 @@ from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
 from fenics_tfeti.parallel import count_over_ranks, raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
+FEW_LINES = 12  # for the contacts in a printed report
+
 
 def peak_memory(comm: MPI.Intracomm) -> int:
     """Return the peak resident memory of all ranks together [bytes]."""
@@ -195,13 +197,13 @@ class Report:
         }
         has = {"friction": unknowns["friction"], "deflation": self.deflation["vectors"]}
         rows = [(name, line) for name, line in lines.items() if has.get(name, True)]
-        rows += [
-            ("force on slave", f"{format_point(c.force)}{unit} of {c.name!r}")
-            for c in self.contacts
-        ]
-        free = first_few(self.free_motions, 6, "free motions")
-        rows += [("free motion", motion) for motion in free]
-        rows += [("weak motion", motion) for motion in self.weak_motions]
+        forces = [f"{format_point(c.force)}{unit} of {c.name!r}" for c in self.contacts]
+        lists = {
+            "force on slave": first_few(forces, FEW_LINES, "contacts"),
+            "free motion": first_few(self.free_motions, 6, "free motions"),
+            "weak motion": first_few(self.weak_motions, 6, "weak motions"),
+        }
+        rows += [(name, line) for name, some in lists.items() for line in some]
         return "\n".join(f"{name:>16}  {value}" for name, value in rows)
 
     def _slowest(self) -> str:
