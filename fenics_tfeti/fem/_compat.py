@@ -34,6 +34,7 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from ufl.differentiation import CoefficientDerivative, VariableDerivative
 
+from fenics_tfeti.fem.form_numbers import with_constants
 from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
@@ -94,6 +95,7 @@ def lagrange_space(
     - 0.9 to 0.11 have ``functionspace`` for (family, degree, shape).
     """
     family = "DG" if discontinuous else "Lagrange"
+    _name_node_spacing(domain)
     with compiling():
         if hasattr(fem, "functionspace"):
             shape = ((components,),) if components else ()
@@ -253,6 +255,20 @@ def _one_scotch_thread() -> Iterator[None]:
 # -- forms -------------------------------------------------------------------------------------
 
 
+def _name_node_spacing(domain: mesh.Mesh) -> None:
+    """Name the spacing of the nodes in a mesh's element, which is part of what a form is cached by.
+
+    - 0.5.2's FFCx names it when it compiles the first form of a mesh, but not when it finds that in
+      the cache: without the name, the other forms would be compiled again in the next run;
+    - 0.9 to 0.11 have it in the element from the start.
+    """
+    if hasattr(ufl, "VectorElement"):
+        element = domain.ufl_domain().ufl_coordinate_element()
+        shape = element.family(), element.cell(), element.degree(), element.quadrature_scheme()
+        named = ufl.VectorElement(ufl.FiniteElement(*shape, variant="equispaced"))
+        domain.ufl_domain()._ufl_coordinate_element = named
+
+
 def is_linear_in_arguments(form: ufl.Form) -> bool:
     """Tell whether each term of a form is linear in each of the form's arguments.
 
@@ -284,13 +300,14 @@ class CompiledForm:
 
     - 0.5.2 compiles with ``jit.ffcx_jit``, 0.9 to 0.11 with ``fem.compile_form``.
 
-    Rank 0 compiles, then the others load.
+    Rank 0 compiles, then the others load. Forms that differ in numbers only are compiled once.
     """
 
     def __init__(
-        self, form: ufl.Form, comm: MPI.Comm, compiler: CompilerOptions | None = None
+        self, form: ufl.Form, domain: mesh.Mesh, compiler: CompilerOptions | None = None
     ) -> None:
-        self._form = form
+        _name_node_spacing(domain)
+        self._form = form = with_constants(form, domain)
         self._new = hasattr(fem, "compile_form")
         compile_form = fem.compile_form if self._new else dolfinx.jit.ffcx_jit
         compiler = compiler or CompilerOptions()
@@ -299,7 +316,7 @@ class CompiledForm:
             form_options = {"scalar_type": dolfinx.default_scalar_type, **form_options}
         jit_options = dict(compiler.jit_options or {})
         with compiling(form.coefficients()):
-            compiled = compile_form(comm, form, form_options, jit_options)
+            compiled = compile_form(domain.comm, form, form_options, jit_options)
         self._ufcx, self._module = (
             (compiled.ufcx_form, compiled.module) if self._new else compiled[:2]
         )
@@ -440,6 +457,7 @@ def interpolate_expression(expression: Any, function: Any) -> None:
     """
     points = function.function_space.element.interpolation_points
     points = points() if callable(points) else points
+    expression = with_constants(expression, function.function_space.mesh)
     with compiling(extract_coefficients(expression)):
         compiled = fem.Expression(expression, points)
     function.interpolate(compiled)

@@ -123,7 +123,7 @@ def prepare_form(
     for kind, tag in tags.items():
         present = tag[integrated[kind] & (tag != NO_TAG)]
         _check_used(domain, present, ids[kind], f"the {name} has {_MEASURES[kind]}")
-    compiled = _compat.CompiledForm(form, domain.comm, compiler)
+    compiled = _compat.CompiledForm(form, domain, compiler)
     integrals = {(kind, tag) for kind, tag, _ in compiled.integrals}
     for kind, tag in tags.items():
         is_everywhere = (kind, _EVERYWHERE) in integrals

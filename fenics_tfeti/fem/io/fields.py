@@ -17,7 +17,7 @@ from mpi4py import MPI
 import numpy as np
 
 import ufl
-from dolfinx.fem import Constant, Function, FunctionSpace
+from dolfinx.fem import Function, FunctionSpace
 from dolfinx.io import VTKFile
 from dolfinx.mesh import Mesh
 
@@ -67,8 +67,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
         stress = ufl.as_ufl(stress)
         _check_stress(stress, poisson_ratio)
     if stress.ufl_shape == (2, 2):
-        # a Constant: for each number in the expression, code would be compiled anew
-        ratio = Constant(mesh, float(poisson_ratio or 0.0))
+        ratio = poisson_ratio or 0.0
         stress = with_third_direction(stress, ratio * ufl.tr(stress))
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)

@@ -1,5 +1,7 @@
 """Forms: which integrals, coefficients and tags they may have, and what bound forms integrate."""
 
+from petsc4py import PETSc
+
 import numpy as np
 import pytest
 from box_rows import BOTTOM, INSIDE, LEFT, assemble, row_of_boxes
@@ -7,8 +9,10 @@ from scenes import YOUNG, elasticity, scalar_space
 
 import ufl
 from dolfinx import fem, mesh
+from dolfinx.fem import petsc
 
 from fenics_tfeti import InputError
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import prepare_form
 from fenics_tfeti.fem.topology import exterior_cell_facets
 
@@ -33,6 +37,36 @@ def test_everywhere_and_on_tags(kind):
     total = sum(s.load.sum() for s in assemble(row, stiffness(row), L))
     whole, tagged = {"dx": (4.0, near.size / 9), "ds": (10.0, 1.0)}[kind]
     assert total == pytest.approx(whole + 10 * tagged)
+
+
+@pytest.mark.parametrize(
+    ("term", "compiled_once"),
+    [
+        (lambda u, v, w, k: 2 * k * ufl.inner(ufl.sym(ufl.grad(u)), ufl.grad(v)), True),
+        (lambda u, v, w, k: ufl.conditional(ufl.gt(w[0], k), 0.7, k * w[1]) * u[0] * v[1], True),
+        (lambda u, v, w, k: ufl.derivative(ufl.exp(k * w[0]) * w[1] * v[0], w, u), True),
+        (lambda u, v, w, k: abs(w[0]) ** k * ufl.dot(u, v), False),
+    ],
+    ids=["modulus", "condition", "derivative", "exponent"],
+)
+def test_forms_that_differ_in_a_number_are_compiled_once(term, compiled_once):
+    """A number that a form is scaled with is a constant of the code; an exponent is part of it."""
+    row = row_of_boxes()
+    u, v, w = ufl.TrialFunction(row.V), ufl.TestFunction(row.V), fem.Function(row.V)
+    w.interpolate(lambda x: x[:2])
+    y = np.random.default_rng(0).standard_normal(w.x.array.size)
+    of_cells = y.reshape(-1, 2)[_compat.cell_dofs(row.V)].reshape(-1, 8)
+    kernels = []
+    for form in (term(u, v, w, k) * ufl.dx for k in (1.5, 2.5)):
+        compiled = prepared(row, form)
+        K = compiled.element_tensors(row.V, np.arange(len(of_cells)))
+        A = petsc.assemble_matrix(fem.form(form))
+        A.assemble()
+        product = A * PETSc.Vec().createWithArray(y, comm=row.mesh.comm)
+        assert np.einsum("ij,ijk,ik", of_cells, K, of_cells) == pytest.approx(product.array @ y)
+        kernels += [kernel for _, _, kernel in compiled.compiled.integrals]
+    assert len(kernels) == 2
+    assert (kernels[0] == kernels[1]) is compiled_once
 
 
 @pytest.mark.parametrize(
