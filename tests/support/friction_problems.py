@@ -200,6 +200,8 @@ def solve_by_cones(system: TornSystem) -> ConicSolution:
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-14
     settings.static_regularization_enable = False  # which limits the accuracy of the steps
+    # where rows depend on each other, iterates close to the cones make no progress before 1e-9
+    settings.max_step_fraction = 0.9
     settings.max_iter = 100
     cones = [clarabel.NonnegativeConeT(len(N))] + [clarabel.SecondOrderConeT(gdim)] * m
     P = sp.block_diag([np.triu(K[np.ix_(free, free)]), sp.csc_matrix((m, m))], format="csc")
