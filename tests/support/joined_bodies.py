@@ -4,9 +4,8 @@ from mpi4py import MPI
 
 import numpy as np
 from msh_files import gmsh_model
-from scenes import Scene, at, fixed
+from scenes import Scene, at, fixed, integral
 
-import dolfinx
 import ufl
 from dolfinx.mesh import meshtags
 
@@ -71,11 +70,8 @@ def vertices(tagged):
 
 
 def measure(tagged, kind, tag):
-    one = dolfinx.fem.Constant(tagged.mesh, 1.0)
     data = tagged.cell_tags if kind == "dx" else tagged.facet_tags
-    over = ufl.Measure(kind, domain=tagged.mesh, subdomain_data=data)
-    local = dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * over(tag)))
-    return tagged.mesh.comm.allreduce(local)
+    return integral(tagged.mesh, data, tag, kind)
 
 
 def elasticity(tagged, press):

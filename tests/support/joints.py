@@ -11,7 +11,7 @@ from mpi4py import MPI
 import numpy as np
 from mesh_arrays import of_script
 from msh_files import gmsh_model
-from scenes import Scene
+from scenes import Scene, integral
 
 import ufl
 from dolfinx import fem
@@ -38,7 +38,7 @@ def joint_problem(
     names = bodies.names
     scene = Scene.of(bodies, degree=degree, young=YOUNG)
     v, end = scene.v, scene.ds(names["lug end"])
-    area = scene.mesh.comm.allreduce(fem.assemble_scalar(fem.form(scene.constant(1.0) * end)))
+    area = integral(scene.mesh, bodies.facet_tags, names["lug end"])
     scene.L = scene.constant(PULL / area) * (v[0] + along * v[2]) * end
     scene.fix(names["fork end"])
     for hole in ("lug", "fork"):
@@ -92,7 +92,7 @@ def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any
     names = bodies.names
     scene = Scene.of(bodies, degree=degree, young=YOUNG)
     dx = scene.dx(names["pin"])
-    area = fem.assemble_scalar(fem.form(scene.constant(1.0) * dx))
+    area = integral(scene.mesh, bodies.cell_tags, names["pin"], "dx")
     scene.L = -scene.constant(540.0 / area) * scene.v[0] * dx
     scene.fix(names["lug end"])
     # nothing but facets resists the pin's rotation

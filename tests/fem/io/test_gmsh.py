@@ -7,10 +7,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from joined_bodies import measure
 from msh_files import CELLS, SQUARE, TETRAHEDRON, write_cell, write_msh
-
-import dolfinx
-import ufl
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
@@ -24,21 +22,13 @@ VOLUME = {"triangle": 1 / 2, "quadrilateral": 1, "tetrahedron": 1 / 6, "hexahedr
 FACET_AREA = {"triangle": 1, "quadrilateral": 1, "tetrahedron": 1 / 2, "hexahedron": 1}
 
 
-def integral(mesh, measure):
-    """Return the integral of one."""
-    one = dolfinx.fem.Constant(mesh, 1.0)
-    return mesh.comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure)))
-
-
 @pytest.mark.parametrize("cell", CELLS)
 def test_groups_become_tags_of_cells_and_facets(cell, tmp_path):
     gdim = 3 if "hedron" in cell else 2
     tagged = read_msh(write_cell(tmp_path / "cell.msh", cell), MPI.COMM_SELF, gdim=gdim)
-    dx = ufl.Measure("dx", domain=tagged.mesh, subdomain_data=tagged.cell_tags)
-    ds = ufl.Measure("ds", domain=tagged.mesh, subdomain_data=tagged.facet_tags)
     assert tagged.mesh.geometry.dim == gdim
-    assert integral(tagged.mesh, dx(4)) == pytest.approx(VOLUME[cell])
-    assert integral(tagged.mesh, ds(9)) == pytest.approx(FACET_AREA[cell])
+    assert measure(tagged, "dx", 4) == pytest.approx(VOLUME[cell])
+    assert measure(tagged, "ds", 9) == pytest.approx(FACET_AREA[cell])
 
 
 def test_names_map_to_tags(tmp_path):
@@ -69,8 +59,7 @@ def test_nodes_at_the_same_place_stay_separate(tmp_path):
 
 def test_gaps_in_the_node_numbers_do_no_harm(tmp_path):
     path = write_msh(tmp_path / "a.msh", SQUARE[:3], [(2, 1, (3, 20, 9))], numbers=[3, 20, 9])
-    mesh = read_msh(path, MPI.COMM_SELF, gdim=2).mesh
-    assert integral(mesh, ufl.dx(domain=mesh)) == pytest.approx(0.5)
+    assert measure(read_msh(path, MPI.COMM_SELF, gdim=2), "dx", 1) == pytest.approx(0.5)
 
 
 def test_nodes_of_no_cell_are_left_out_with_a_warning(tmp_path, caplog):
@@ -222,11 +211,10 @@ def two_beams(request, tmp_path_factory):
 
 def check_sizes(two_beams):
     """Compare volumes and areas with the drawing."""
-    dx = ufl.Measure("dx", domain=two_beams.mesh, subdomain_data=two_beams.cell_tags)
-    ds = ufl.Measure("ds", domain=two_beams.mesh, subdomain_data=two_beams.facet_tags)
-    volumes = [integral(two_beams.mesh, dx(two_beams.names[n])) for n in ("lower", "upper")]
+    names = two_beams.names
+    volumes = [measure(two_beams, "dx", names[name]) for name in ("lower", "upper")]
     surfaces = ("clamped", "guided", "contact_upper", "contact_lower", "loaded")
-    areas = [integral(two_beams.mesh, ds(two_beams.names[name])) for name in surfaces]
+    areas = [measure(two_beams, "ds", names[name]) for name in surfaces]
     assert volumes == pytest.approx([2, 2])
     assert areas == pytest.approx([1, 1, 1, 1, 3])
 

@@ -16,8 +16,8 @@ from joined_bodies import (
     thirds,
     vertices,
 )
+from scenes import integral
 
-import dolfinx
 import ufl
 
 from fenics_tfeti import ContactPair, ContactProblem, InputError, TiedPair
@@ -42,8 +42,7 @@ def test_each_facet_of_the_interface_is_there_twice(cell):
 def test_tags_are_on_the_sides_of_their_bodies(cell):
     after = split_interfaces(block(cell, halves), [Interface(2, 1, slave_tag=5, master_tag=6)])
     normal = ufl.FacetNormal(after.mesh)
-    ds = ufl.Measure("ds", domain=after.mesh, subdomain_data=after.facet_tags)
-    along = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(normal[0] * ds(t))) for t in (5, 6)]
+    along = [integral(after.mesh, after.facet_tags, t, "ds", normal[0]) for t in (5, 6)]
     assert along == pytest.approx([-1.0, 1.0])
 
 
@@ -99,8 +98,7 @@ def test_cut_through_a_body(cell):
     after = split_interfaces(before, [Interface(1, 1, 5, 6, facets=9)])
     assert vertices(after) == vertices(before) + 5 ** (GDIM[cell] - 1)
     normal = ufl.FacetNormal(after.mesh)
-    ds = ufl.Measure("ds", domain=after.mesh, subdomain_data=after.facet_tags)
-    along = [dolfinx.fem.assemble_scalar(dolfinx.fem.form(normal[0] * ds(t))) for t in (5, 6, 9)]
+    along = [integral(after.mesh, after.facet_tags, t, "ds", normal[0]) for t in (5, 6, 9)]
     assert along == pytest.approx([1.0, -1.0, -1.0])
 
 

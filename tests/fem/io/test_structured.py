@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import CELLS, dimension
+from scenes import CELLS, dimension, integral
 
 import dolfinx
 import ufl
@@ -25,12 +25,6 @@ def two_boxes(cell, comm=MPI.COMM_WORLD):
     return boxes(comm, parts, cell)
 
 
-def integral(mesh, measure):
-    """Return the integral of one, over all ranks."""
-    one = dolfinx.fem.Constant(mesh, 1.0)
-    return mesh.comm.allreduce(dolfinx.fem.assemble_scalar(dolfinx.fem.form(one * measure)))
-
-
 @pytest.mark.ranks
 @pytest.mark.parametrize("cell", CELLS)
 def test_cells_of_boxes(cell):
@@ -43,9 +37,8 @@ def test_cells_of_boxes(cell):
     owned = np.arange(mesh.topology.index_map(dimension(cell)).size_local)
     own = [np.isin(pair.cell_tags.find(k), owned).sum() for k in (1, 2)]
     assert mesh.comm.allreduce(np.array(own)).tolist() == [cells, cells]
-    dx = ufl.Measure("dx", domain=mesh, subdomain_data=pair.cell_tags)
-    assert [integral(mesh, dx(k)) for k in (1, 2)] == pytest.approx([2, 2])
-    det_squared = dolfinx.fem.form(ufl.JacobianDeterminant(mesh) ** 2 * dx)
+    assert [integral(mesh, pair.cell_tags, k, "dx") for k in (1, 2)] == pytest.approx([2, 2])
+    det_squared = dolfinx.fem.form(ufl.JacobianDeterminant(mesh) ** 2 * ufl.dx)
     mean_square = mesh.comm.allreduce(dolfinx.fem.assemble_scalar(det_squared)) / 4
     # All cells are affine and of one size; in a wrong vertex order the determinant would vary.
     reference_volume = {"triangle": 1 / 2, "tetrahedron": 1 / 6}.get(cell, 1)
@@ -111,8 +104,7 @@ def test_tagged_facets_have_the_area_of_the_marked_part(cell):
         ],
         pair.cell_tags,
     )
-    ds = ufl.Measure("ds", domain=pair.mesh, subdomain_data=tags)
-    assert [integral(pair.mesh, ds(tag)) for tag in (5, 6, 9)] == pytest.approx([2, 1, 1])
+    assert [integral(pair.mesh, tags, tag) for tag in (5, 6, 9)] == pytest.approx([2, 1, 1])
 
 
 def test_markers_can_be_a_dict():
