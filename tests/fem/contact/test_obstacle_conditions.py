@@ -9,7 +9,8 @@ from scenes import GROUND, dimension, pressed_block
 from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidObstacle, Sphere
-from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps, match_obstacle
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
+from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import displacement_space
 from fenics_tfeti.parallel import concatenate_ranks
@@ -67,8 +68,7 @@ def test_where_there_is_no_obstacle(degree):
     there = np.isfinite(found.gap)
     assert sorted(found.coordinates[there, 0]) == pytest.approx([0.0, 0.5])
     space, _, whole = matched("quadrilateral", degree, tilted(2))
-    slave = whole.surface.gathered(fem.Function(space))
-    _, _, distance, _ = deformed_gaps(whole.surface, contact, slave, whole.terms)
+    distance = deformed_contacts([(contact, whole)], fem.Function(space))[0].distance
     there = np.isfinite(distance)
     assert sorted(whole.coordinates[there, 0]) == pytest.approx([0.0, 0.5][: 3 - degree])
 
@@ -81,11 +81,10 @@ def test_gaps_in_the_deformed_state(cell, degree):
     space, contact, before = matched(cell, degree, tilted(d))
     u = fem.Function(space)
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
-    slave = before.surface.gathered(u)
-    normal, gap, distance, _ = deformed_gaps(before.surface, contact, slave, before.terms)
-    np.testing.assert_allclose(normal, before.normal)
-    np.testing.assert_allclose(gap, before.gap, rtol=1e-12)
-    np.testing.assert_allclose(distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
+    new = deformed_contacts([(contact, before)], u)[0]
+    np.testing.assert_allclose(new.normal, before.normal)
+    np.testing.assert_allclose(new.pairing.gap, before.gap, rtol=1e-12)
+    np.testing.assert_allclose(new.distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
 
 
 def conditions(comm, cell, degree):
@@ -97,9 +96,9 @@ def conditions(comm, cell, degree):
     found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
-    slave = found.surface.gathered(u)
-    normal, gap, distance, _ = deformed_gaps(found.surface, contact, slave, found.terms)
-    columns = (found.coordinates, found.normal, found.gap, found.area, normal, gap, distance)
+    new = deformed_contacts([(contact, found)], u)[0]
+    columns = (found.coordinates, found.normal, found.gap, found.area)
+    columns += (new.normal, new.pairing.gap, new.distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]
 

@@ -20,14 +20,14 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.surface_pairs import match_by_mortar
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_mortars, match_by_mortar
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.tagged import gather_surfaces
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -61,29 +61,42 @@ def deformed_contacts(
         if not np.isfinite(owned_values(displacement)).all():
             raise InputError("the displacement is NaN or infinite at some nodes")
     displacement.x.scatter_forward()
+    if not contacts:
+        return []
+    boundary = contacts[0][1].surface.boundary.deformed(displacement)
     # what all ranks need the whole of
-    needed = [[] if pairing.is_mortar else pairing.surfaces for _, pairing in contacts]
-    gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces], displacement))
-    return [
-        _deformed(contact, pairing, [next(gathered) for _ in surfaces], displacement)
-        for (contact, pairing), surfaces in zip(contacts, needed, strict=True)
+    needed = [
+        [] if pairing.is_mortar else [surface.on(boundary) for surface in pairing.surfaces]
+        for _, pairing in contacts
     ]
+    gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces]))
+    u = boundary.nodes.values(displacement)
+    measured = []
+    for (contact, pairing), surfaces in zip(contacts, needed, strict=True):
+        new = _deformed(contact, pairing, [next(gathered) for _ in surfaces], boundary)
+        moved = np.sum(new.pairing.relative(u) * new.pairing.normal, axis=1)
+        total = replace(new.pairing, gap=new.pairing.gap + moved)
+        measured.append(replace(new, pairing=total))
+    return measured
 
 
 def _deformed(
     contact: Contact,
     pairing: ContactPairing,
     surfaces: Sequence[SurfaceFacets],
-    displacement: Function,
+    boundary: MeshBoundary,
 ) -> DeformedContact:
-    """Measure a contact with its whole deformed surfaces; none for mortars. Collective."""
+    """Measure a contact with its whole deformed surfaces; none for mortars. Collective.
+
+    The gaps of the new conditions are distances of the deformed surfaces.
+    """
     if isinstance(contact, RigidObstacle):
         (slave,) = surfaces
-        normal, gap, distance, _ = deformed_gaps(pairing.surface, contact, slave, pairing.terms)
-        new = replace(pairing, normal=normal, gap=gap)
+        normal, distance, _ = deformed_gaps(pairing.surface, contact, slave, pairing.terms)
+        new = replace(pairing, normal=normal, gap=distance)
         return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
-        return _deformed_mortar(contact, pairing, displacement)
+        return _deformed_mortar(contact, pairing, boundary)
     return _deformed_pairs(contact, pairing, *surfaces)
 
 
@@ -103,52 +116,44 @@ def _deformed_pairs(
     closest, nearest = cKDTree(master.points).query(foot)
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     partner = np.where(current > 1.5 * closest, nearest, partner)
-    relative = slave.displacement[rows] - master.displacement[partner]
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
-    gap = distance + np.sum(relative * normal, axis=1)
-    new = replace(pairing, terms=terms, normal=normal, gap=gap)
+    new = replace(pairing, terms=terms, normal=normal, gap=distance)
     return DeformedContact(new, normal, distance, np.maximum(-signed, 0.0))
 
 
 def _deformed_mortar(
-    contact: ContactPair, pairing: ContactPairing, displacement: Function
+    contact: ContactPair, pairing: ContactPairing, boundary: MeshBoundary
 ) -> DeformedContact:
-    name, surface, tagged_master = pairing.name, pairing.surface, pairing.master_surface
-    prescribed, deformed = pairing.prescribed, surface
-    assert tagged_master is not None and prescribed is not None
-    slave, master = (
-        gather_nearby(other, surface, displacement) for other in (surface, tagged_master)
-    )
+    name, prescribed = pairing.name, pairing.prescribed
+    surface, tagged_master = (surface.on(boundary) for surface in pairing.surfaces)
+    assert prescribed is not None
+    slave, master = (gather_nearby(other, surface) for other in (surface, tagged_master))
     with raise_collectively(surface.comm):
         if contact.normal is None:
             slave.check_not_folded(name)
             rows = np.searchsorted(slave.nodes, surface.nodes)
-            deformed = replace(surface, normal=slave.normal[rows])
+            surface = replace(surface, normal=slave.normal[rows])
         master.check_not_folded(name)
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = match_by_mortar(
-        contact, deformed, master, shared, prescribed, pairing.slave, displacement
-    )
+    conditions = match_by_mortar(contact, surface, master, shared, prescribed, pairing.slave)
+    check_mortars(conditions, pairing.surface)
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(
         pairing,
         terms=conditions.terms,
         normal=conditions.normal,
+        gap=mean_distance,
         area=conditions.area,
         covered=conditions.covered,
         coverage=conditions.coverage,
     )
-    nodes = surface.boundary.nodes
-    u = nodes.values(displacement)
-    relative = new.relative(u)
-    new = replace(new, gap=mean_distance + np.sum(relative * new.normal, axis=1))
     # a node that slid off the master is as far from it as its facets are large
     size = surface.size[pairing.on_surface]
     distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
     _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
     distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
-    x = surface.boundary.coordinates[:, : nodes.components] + u
+    x = boundary.coordinates[:, : boundary.nodes.components]
     offset = pairing.relative(x)[old_rows] - new.relative(x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]

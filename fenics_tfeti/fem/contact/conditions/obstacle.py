@@ -9,8 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from dolfinx.fem import Function
-
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
@@ -32,12 +30,12 @@ def match_obstacle(
     name: str,
     contact: RigidObstacle,
     earlier: ContactPairing | None,
-    displacement: Function | None = None,
+    deformed: MeshBoundary | None = None,
 ) -> ContactPairing:
     """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
-    The surface of an earlier result is used again. With a displacement the obstacle is evaluated on
-    the deformed surface alone, and conditions are wherever it may be met later.
+    The surface of an earlier result is used again. With a deformed boundary the obstacle is
+    evaluated on the surface there alone, and conditions are wherever it may be met later.
     """
     tags, tag = contact.facet_tags, contact.slave
     slave = (
@@ -51,7 +49,7 @@ def match_obstacle(
     terms, facets = Terms.of_nodes(slave.nodes), None if is_linear else slave.oriented_part()
     nodal_gap = None
     if facets is not None:
-        if displacement is None:
+        if deformed is None:
             normals = unit(facets.from_corners(facets.normal))
             places = _padded(facets.points)
             nodal_gap, _ = gap_and_normal(slave, contact.obstacle, places, normals)
@@ -61,7 +59,7 @@ def match_obstacle(
             slave.check_weight(terms.scale, slave.rows_of(terms.slave))
     rows = slave.rows_of(terms.slave)
     area = slave.areas(covered) if is_linear else terms.scale
-    if displacement is None:
+    if deformed is None:
         places, facing = slave.coordinates[rows], slave.normal[rows]
         gap, outward = gap_and_normal(slave, contact.obstacle, places, facing)
         normal = -outward  # u'n <= gap with n pointing into the obstacle
@@ -71,9 +69,8 @@ def match_obstacle(
             at_owners = nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
             gap = _mean_gap(terms, nodes.values_at(at_owners, terms.nodes))
     else:
-        displacement.x.scatter_forward()
-        whole = slave.gathered(displacement)
-        normal, _, gap, facing = deformed_gaps(slave, contact, whole, terms)
+        whole = slave.on(deformed).gathered()
+        normal, gap, facing = deformed_gaps(slave, contact, whole, terms)
     of_rows, angle = slave.contact[rows], angles_between(facing, normal)
     gap = slave.without_rounding(gap, of_rows)
     (summary,) = pairing_summaries(
@@ -94,12 +91,12 @@ def _mean_gap(terms: Terms, gap: Vector) -> Vector:
 
 def deformed_gaps(
     surface: Surface, contact: RigidObstacle, slave: SurfaceFacets, terms: Terms
-) -> tuple[Vector, Vector, Vector, Vector]:
+) -> tuple[Vector, Vector, Vector]:
     """Return the conditions at an obstacle in the deformed state. Collective.
 
-    Returned are normals (k, gdim) into the obstacle, gaps (k,) in terms of the total displacement,
-    distances (k,) from the obstacle [m], for degree 2 the means around the nodes, and the normals
-    of the surface, of which the slave has the deformed facets of all ranks.
+    Returned are normals (k, gdim) into the obstacle, distances (k,) from it [m], for degree 2 the
+    means around the nodes, and the normals of the surface, of which the slave has the deformed
+    facets of all ranks.
     """
     slave.check_not_folded(surface.names[0])
     nodes, inverse = np.unique(terms.nodes, return_inverse=True)
@@ -107,10 +104,8 @@ def deformed_gaps(
     places, normals = _padded(slave.points[rows]), slave.normal[rows]
     nodal, outward = gap_and_normal(surface, contact.obstacle, places, normals)
     distance = _mean_gap(terms, nodal[inverse])
-    motion = terms.means(slave.displacement[rows[inverse]])
     own = np.searchsorted(nodes, terms.slave)
-    normal = -outward[own]
-    return normal, distance + np.sum(motion * normal, axis=1), distance, normals[own]
+    return -outward[own], distance, normals[own]
 
 
 def _padded(points: Vector) -> Vector:

@@ -14,8 +14,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from dolfinx.fem import Function
-
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.conditions.pairing import Conditions, ContactPairing, JoinedPairs
@@ -113,7 +111,9 @@ def _matched(
     else:
         prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
         shared, none = shared_nodes(pairs, master.nodes), np.zeros(0, dtype=np.int64)
+        check_folds(slave)
         found = match_by_mortar(contacts[0], slave, master, shared, prescribed, none)
+        check_mortars(found, slave)
     return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
 
 
@@ -147,19 +147,11 @@ def match_by_mortar(
     shared: Numbers,
     prescribed: Mask,
     before: Numbers,
-    displacement: Function | None = None,
 ) -> Conditions:
     """Return mortar conditions of pairs, this the first; see `mortar_conditions`. Collective."""
     if contact.normal is None:
         slave = replace(slave, normal=normals_in_symmetry_planes(slave, prescribed))
-    facets = slave.oriented_part(displacement)
-    if displacement is None:
-        check_folds(slave, facets)
-    found = mortar_conditions(slave, facets, master, shared, prescribed, before)
-    check_covered(found, slave)
-    if facets.weight is not None:
-        slave.check_weight(found.area, slave.rows_of(found.terms.slave))
-    return found
+    return mortar_conditions(slave, slave.oriented_part(), master, shared, prescribed, before)
 
 
 def _pairings(
@@ -239,6 +231,13 @@ def user_gaps(comm: MPI.Intracomm, value: Any, points: Vector, name: str) -> Vec
     return scalars_at(comm, value, points, points.shape[1], f"{name}: initial_gap")
 
 
+def check_mortars(conditions: Conditions, slave: Surface) -> None:
+    """Check that conditions of a slave are on more than slivers, with areas. Collective."""
+    check_covered(conditions, slave)
+    if slave.boundary.weight is not None:
+        slave.check_weight(conditions.area, slave.rows_of(conditions.terms.slave))
+
+
 def check_covered(conditions: Conditions, slave: Surface) -> None:
     """Check that the masters cover a part of each slave, and more than slivers. Collective."""
     on_surface = slave.rows_of(conditions.terms.slave)
@@ -258,8 +257,9 @@ def check_covered(conditions: Conditions, slave: Surface) -> None:
         )
 
 
-def check_folds(surface: Surface, slave: SurfaceFacets) -> None:
+def check_folds(surface: Surface) -> None:
     """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
+    slave = surface.part()
     corners, points = slave.facets.pieces, slave.points
     normal = Planes.of(slave.facets.coordinates()).normal
     v, gdim = corners.shape[1], points.shape[1]

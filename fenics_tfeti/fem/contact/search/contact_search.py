@@ -240,6 +240,10 @@ def match_contacts(
     is given.
     """
     comm, earlier = boundary.nodes.comm, {id(contact): pairing for contact, pairing in known}
+    deformed = None
+    if displacement is not None:
+        displacement.x.scatter_forward()
+        deformed = boundary.deformed(displacement)
     has_new = any(id(contact) not in earlier for contact in contacts)
     if has_new:
         check_different_surfaces(contacts, comm)
@@ -257,7 +261,7 @@ def match_contacts(
     for k, (name, contact) in enumerate(zip(names, contacts, strict=True)):
         if isinstance(contact, RigidObstacle):
             last = earlier.get(id(contact))
-            found[k] = match_obstacle(boundary, name, contact, last, displacement)
+            found[k] = match_obstacle(boundary, name, contact, last, deformed)
     pairings = [found[k] for k in range(len(contacts))]
     if has_new:
         check_different_nodes(contacts, pairings, comm)

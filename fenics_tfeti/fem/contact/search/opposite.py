@@ -22,7 +22,6 @@ from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import (
@@ -124,15 +123,15 @@ class OppositeFacets:
         columns = (first_number + np.arange(n), facets.body, facets.vertices, x, reach)
         received = all_to_all(comm, [tuple(column[rows] for column in columns) for rows in chosen])
         number, body, vertices, corners, reach = map(np.concatenate, zip(*received, strict=True))
-        nodes, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
+        _, first, inverse = np.unique(vertices, return_index=True, return_inverse=True)
         points = corners.reshape(-1, gdim)[first]
-        others = SurfaceFacets(nodes, Facets(points, inverse.reshape(-1, v)), np.zeros_like(points))
+        others = Facets(points, inverse.reshape(-1, v))
         parts, measures = [np.zeros((0, 4), dtype=np.int64)], [np.zeros((0, 4))]
         if n:
-            tree = MasterTree(others.facets)
+            tree = MasterTree(others)
             planes, own = tree.planes, np.searchsorted(number, columns[0])
             for block in batches(n, 2048):
-                cells = overlapping_cells(others.facets, planes, own[block], tree, reach)
+                cells = overlapping_cells(others, planes, own[block], tree, reach)
                 cells = cells.select_pairs(body[cells.master] != body[cells.slave])
                 cells = cells.select_pairs(_is_near(cells, planes, others, body, reach))
                 cells = nearest_layers(cells, planes, tree)
@@ -159,9 +158,7 @@ class OppositeFacets:
         return min(comm.allgather(min(pairs, default=(np.inf, []))))
 
 
-def _is_near(
-    cells: Cells, planes: Planes, others: SurfaceFacets, body: Numbers, reach: Vector
-) -> Mask:
+def _is_near(cells: Cells, planes: Planes, others: Facets, body: Numbers, reach: Vector) -> Mask:
     """Tell which pairs (p,) of facets are within reach and overlap by more than rounding.
 
     A facet behind one is near only if its body penetrates there.
@@ -173,5 +170,5 @@ def _is_near(
     facet, master = cells.slave[behind], body[cells.master[behind]]
     in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
     points = planes.origin[facet] + in_plane
-    near[behind] = inside(points, master, others.facets, body)
+    near[behind] = inside(points, master, others, body)
     return near

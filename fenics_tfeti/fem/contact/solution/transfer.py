@@ -38,10 +38,9 @@ def gather_solved(
     pairings: Sequence[ContactPairing], results: Sequence[ContactResult], displacement: Function
 ) -> list[SolvedContact]:
     """Gather the solution on the slaves' surfaces on every rank. Collective."""
-    displacement.x.scatter_forward()
     solved = []
     for pairing, result in zip(pairings, results, strict=True):
-        nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered(displacement)
+        nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered()
         relative = pairing.relative(nodes.values(displacement))
         approach = np.sum(relative * pairing.normal, axis=1)
         columns = np.column_stack([np.ones_like(approach), result.pressure, approach])

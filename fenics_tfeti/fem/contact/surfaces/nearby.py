@@ -13,8 +13,6 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from dolfinx.fem import Function
-
 from fenics_tfeti.fem.contact.mortar.cells import REACH
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
@@ -26,22 +24,18 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 Boxes = tuple[Vector, Vector]
 
 
-def gather_nearby(
-    surface: Surface, other: Surface, displacement: Function | None = None
-) -> SurfaceFacets:
+def gather_nearby(surface: Surface, other: Surface) -> SurfaceFacets:
     """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
     All facets are there that may lie over a facet that this rank has of the other surface, which
     may be the same, those closest to it, and the ones around each of their nodes, so that normals
     there are those of the whole surface. Of the nodes that the rank owns, the facets may be other
-    ranks'. The ghosts of the displacement are up to date.
+    ranks'.
     """
     comm, boundary = surface.comm, surface.boundary
     if comm.size == 1:
-        return surface.gathered(displacement)
+        return surface.gathered()
     points = boundary.coordinates[:, : surface.normal.shape[1]]
-    if displacement is not None:
-        points = points + boundary.nodes.values(displacement)
     rows, nodes = (part.facet_nodes.astype(np.int64) for part in (surface, other))
     facets = Facets(points, rows, boundary.nodes.contact)
     points = facets.apart(np.arange(len(points)))
@@ -50,7 +44,7 @@ def gather_nearby(
     distance = _distances(comm, points, nodes, facets, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     chosen = facets_in_boxes(comm, needed, tree)
-    messages = [surface.part(displacement, rows) for rows in chosen]
+    messages = [surface.part(rows) for rows in chosen]
     return SurfaceFacets.joined(all_to_all(comm, messages))
 
 

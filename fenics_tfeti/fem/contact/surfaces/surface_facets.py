@@ -22,7 +22,6 @@ class SurfaceFacets:
 
     nodes: Numbers  # global nodes of the displacement's space (n,), ascending
     facets: Facets  # their nodes are rows of `nodes`
-    displacement: Vector  # (n, gdim): by which the points are deformed [m]
     # (n, gdim): unit normals of the whole surface at vertices, zero elsewhere; by default `normal`
     # is found from these facets alone
     vertex_normals: Vector | None = None
@@ -34,16 +33,12 @@ class SurfaceFacets:
         numbers = np.concatenate([part.nodes for part in parts])
         facets = np.concatenate([part.nodes.take(part.facets.nodes) for part in parts])
         nodes, first = np.unique(numbers, return_index=True)
-        points, moves = (
-            np.concatenate(columns)[first]
-            for columns in zip(*((p.facets.points, p.displacement) for p in parts), strict=True)
-        )
+        points = np.concatenate([part.points for part in parts])[first]
         of_parts = [part.facets.contact for part in parts]
         contact = None
         if of_parts[0] is not None:
             contact = np.concatenate([part for part in of_parts if part is not None])[first]
-        joined = Facets(points, np.searchsorted(nodes, facets), contact)
-        return SurfaceFacets(nodes, joined, moves)
+        return SurfaceFacets(nodes, Facets(points, np.searchsorted(nodes, facets), contact))
 
     @property
     def points(self) -> Vector:
@@ -95,9 +90,7 @@ class SurfaceFacets:
         return filled
 
     def interpolate(self, values: Vector, x: Vector) -> Vector:
-        """Interpolate nodal values (n, v) on undeformed simplices at their points closest to x."""
-        facets, simplices = self.facets, self.facets.simplices()
-        places = facets.with_centres(self.points - self.displacement)
-        facet, weights = FacetedSurface(places, simplices).closest(x)
-        corners = facets.with_centres(values)[simplices[facet]]
+        """Interpolate nodal values (n, v) on simplices at their points closest to x."""
+        facet, weights = FacetedSurface.of(self.facets).closest(x)
+        corners = self.facets.with_centres(values)[self.facets.simplices()[facet]]
         return np.einsum("kc,kcv->kv", weights, corners)

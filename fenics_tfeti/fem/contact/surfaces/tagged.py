@@ -63,6 +63,12 @@ class MeshBoundary:
         coordinates[vertex_nodes(space)[cells]] = vertices
         return MeshBoundary(space, NodeMap(space), coordinates, exterior, weight)
 
+    def deformed(self, displacement: Function) -> MeshBoundary:
+        """Return the boundary with displaced nodes; ghosts of the displacement are up to date."""
+        moves = self.nodes.values(displacement)
+        x = self.coordinates + np.pad(moves, ((0, 0), (0, 3 - moves.shape[1])))
+        return replace(self, coordinates=x)
+
     @property
     def degree(self) -> int:
         """Degree of the displacement, 1 or 2."""
@@ -97,6 +103,10 @@ class Surface:
     size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: Vector  # largest coordinates of each surface by magnitude, over all ranks [m]
+
+    def on(self, boundary: MeshBoundary) -> Surface:
+        """Return the surface at other places of the nodes, with the normals and areas it has."""
+        return replace(self, boundary=boundary)
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -231,28 +241,24 @@ class Surface:
         covered_area = self.share_of_area(covered, weight)
         return np.where(covered_area > RELATIVE_ROUNDING * area, covered_area, area)
 
-    def part(
-        self, displacement: Function | None = None, chosen: Numbers | slice = slice(None)
-    ) -> SurfaceFacets:
-        """Return facets of this rank, deformed by a displacement (ghosts up to date) if given."""
+    def part(self, chosen: Numbers | slice = slice(None)) -> SurfaceFacets:
+        """Return all or some facets of this rank."""
         boundary, rows = self.boundary, self.facet_nodes[chosen]
         nodes, first, inverse = np.unique(
             boundary.nodes.to_global(rows), return_index=True, return_inverse=True
         )
         local = rows.ravel()[first]
-        points = boundary.coordinates[local, : self.normal.shape[1]]
-        moves = np.zeros_like(points)
-        if displacement is not None:
-            moves = boundary.nodes.values(displacement)[local]
-        contact = boundary.nodes.contact
+        points, contact = boundary.coordinates[local], boundary.nodes.contact
         facets = Facets(
-            points + moves, inverse.reshape(rows.shape), None if contact is None else contact[local]
+            points[:, : self.normal.shape[1]],
+            inverse.reshape(rows.shape),
+            None if contact is None else contact[local],
         )
-        return SurfaceFacets(nodes, facets, moves)
+        return SurfaceFacets(nodes, facets)
 
-    def oriented_part(self, displacement: Function | None = None) -> SurfaceFacets:
+    def oriented_part(self) -> SurfaceFacets:
         """Return the facets of this rank with the surface's normals and the weight. Collective."""
-        nodes, part = self.boundary.nodes, self.part(displacement)
+        nodes, part = self.boundary.nodes, self.part()
         normal = np.zeros((nodes.owned, self.normal.shape[1]))
         normal[self.local] = self.normal
         weight = self.boundary.nodal_weight()
@@ -262,9 +268,9 @@ class Surface:
             weight=None if weight is None else weight[nodes.to_local(part.nodes)],
         )
 
-    def gathered(self, displacement: Function | None = None) -> SurfaceFacets:
-        """Return the facets of all ranks, deformed by a displacement [m] if given. Collective."""
-        return gather_surfaces([self], displacement)[0]
+    def gathered(self) -> SurfaceFacets:
+        """Return the facets of all ranks. Collective."""
+        return gather_surfaces([self])[0]
 
     def separated(self, boundary: MeshBoundary) -> list[Surface]:
         """Return the surface of each contact, in the numbers of the mesh's boundary."""
@@ -306,13 +312,11 @@ class SurfaceNodes:
         return SurfaceNodes(*(column[kept] for column in vars(self).values()))
 
 
-def gather_surfaces(
-    surfaces: Sequence[Surface], displacement: Function | None = None
-) -> list[SurfaceFacets]:
+def gather_surfaces(surfaces: Sequence[Surface]) -> list[SurfaceFacets]:
     """Return the facets of all ranks of some surfaces in one message, as `gathered`. Collective."""
     if not surfaces:
         return []
-    of_ranks = surfaces[0].comm.allgather([surface.part(displacement) for surface in surfaces])
+    of_ranks = surfaces[0].comm.allgather([surface.part() for surface in surfaces])
     return [SurfaceFacets.joined(parts) for parts in zip(*of_ranks, strict=True)]
 
 
