@@ -134,10 +134,8 @@ def cell_dofs(space: fem.FunctionSpace) -> Indices:
     - 0.5.2 has an adjacency list, 0.9 to 0.11 a matrix.
     """
     dofs = space.dofmap.list
-    if hasattr(dofs, "array"):
-        # a rank may have no cells
-        return np.asarray(dofs.array).reshape(-1, space.dofmap.dof_layout.num_dofs)
-    return np.asarray(dofs)
+    # a rank may have no cells
+    return np.asarray(getattr(dofs, "array", dofs)).reshape(-1, space.dofmap.dof_layout.num_dofs)
 
 
 def input_cells(domain: mesh.Mesh) -> Numbers:
@@ -227,14 +225,12 @@ def tags_are_on(tags: Any, domain: mesh.Mesh) -> bool:
 def partition_graph(offsets: Indices, neighbours: Indices, count: int) -> Indices:
     """Partition a graph of this rank, in CSR form, by SCOTCH, always into the same parts.
 
-    - 0.5.2 has ``graph.create_adjacencylist``, 0.9 ``graph.adjacencylist``; 0.10 and 0.11 wrap its
-      result in a Python class that the partitioner does not take.
+    - All versions have the C++ class and partitioner, and each its own way to them in Python.
     """
-    create = getattr(dolfinx.graph, "adjacencylist", None) or dolfinx.graph.create_adjacencylist
-    graph = create(neighbours.astype(np.int64), offsets.astype(np.int32))
-    partitioner = dolfinx.graph.partitioner_scotch(seed=0)
+    graph = cpp.graph.AdjacencyList_int64(neighbours.astype(np.int64), offsets.astype(np.int32))
+    partitioner = cpp.graph.partitioner_scotch(seed=0)
     with _one_scotch_thread():
-        return np.array(partitioner(MPI.COMM_SELF, count, cpp_object(graph), False).array)
+        return np.array(partitioner(MPI.COMM_SELF, count, graph, False).array)
 
 
 @contextmanager
@@ -431,23 +427,6 @@ def _to_one_process(comm: MPI.Comm, size: int, dim: int, cells: Any, ghost_mode:
 def gmsh_order(cell: str, nodes: int) -> Array:
     """Return for each node of a cell in the order of dolfinx its place in that of Gmsh."""
     return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
-
-
-def entity_nodes(domain: dolfinx.mesh.Mesh, dim: int, entities: Indices) -> Indices:
-    """Return the rows (m, v) of ``mesh.geometry.x`` at the vertices of entities such as facets.
-
-    - 0.5.2 has ``cpp.mesh.entities_to_geometry`` only; it is in 0.9 to 0.11 as well, and all take
-      the C++ mesh;
-    - 0.9 divides by the number of entities, which ends the process when there are none;
-    - of curved cells, 0.9 to 0.11 return the other nodes as well, after the vertices.
-    """
-    domain.topology.create_connectivity(dim, domain.topology.dim)
-    shape = cpp.mesh.cell_entity_type(cpp.mesh.to_type(cell_name(domain)), dim, 0)
-    vertices = cpp.mesh.cell_num_vertices(shape)
-    if len(entities) == 0:
-        return np.empty((0, vertices), dtype=np.int32)
-    nodes = cpp.mesh.entities_to_geometry(cpp_object(domain), dim, entities, False)
-    return np.asarray(nodes)[:, :vertices]
 
 
 def interpolate_expression(expression: Any, function: Any) -> None:

@@ -115,6 +115,21 @@ def cell_facets(domain: Mesh) -> Indices:
     return facets.reshape(-1, len(cell_type(domain).facets))
 
 
+def cells_of_facets(domain: Mesh, facets: Indices) -> tuple[Indices, Numbers]:
+    """Return a cell (f,) of each of some facets of this rank, and the number of the facet in it."""
+    dim = domain.topology.dim
+    domain.topology.create_connectivity(dim - 1, dim)
+    links = domain.topology.connectivity(dim - 1, dim)
+    cells = np.asarray(links.array)[np.asarray(links.offsets)[facets]]
+    return cells, np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
+
+
+def facet_corners(domain: Mesh, cells: Numbers | Indices, numbers: Numbers) -> Indices:
+    """Return the rows (f, v) of ``geometry.x`` around facets of cells, by numbers in these."""
+    corners = np.array(cell_type(domain).facet_nodes(1))[numbers]
+    return np.take_along_axis(cell_vertices(domain)[cells], corners, axis=1)
+
+
 def exterior_facets(domain: Mesh) -> Mask:
     """Tell which facets of this rank are on the boundary of the mesh; False for ghosts."""
     dim = domain.topology.dim

@@ -89,14 +89,6 @@ def test_what_the_compiler_complains_about_is_shown(compile_a_form):
     assert "CompileError" in run.stderr
 
 
-@pytest.mark.parametrize(("cell", "vertices"), [("tetrahedron", 3), ("hexahedron", 4)])
-def test_no_facets_have_no_nodes(cell, vertices):
-    """dolfinx 0.9 divides by their number."""
-    mesh = boxes(MPI.COMM_SELF, [Box((0, 0, 0), (1, 1, 1), (1, 1, 1))], cell).mesh
-    nodes = _compat.entity_nodes(mesh, 2, np.empty(0, dtype=np.int32))
-    assert nodes.shape == (0, vertices)
-
-
 @pytest.mark.parametrize(
     ("term", "linear"),
     [

@@ -7,13 +7,17 @@ import pytest
 from mesh_arrays import block, mesh_of
 from scenes import CELLS
 
+from dolfinx import cpp
+
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.topology import (
     cell_facets,
     cell_type,
     cell_vertices,
+    cells_of_facets,
     exterior_cell_facets,
     exterior_facets,
+    facet_corners,
     owned_cells,
     vertex_nodes,
 )
@@ -52,7 +56,9 @@ def test_facets_have_the_vertices_that_the_reference_cell_says(cell):
     facets = cell_facets(domain)
     of_cell = cell_vertices(domain)[:, np.array(cell_type(domain).facets)]
     dim = domain.topology.dim - 1
-    vertices = _compat.entity_nodes(domain, dim, facets.ravel()).reshape(of_cell.shape)
+    domain.topology.create_connectivity(dim, dim + 1)
+    vertices = cpp.mesh.entities_to_geometry(_compat.cpp_object(domain), dim, facets.ravel(), False)
+    vertices = np.reshape(vertices, of_cell.shape)
     np.testing.assert_array_equal(np.sort(vertices, axis=2), np.sort(of_cell, axis=2))
 
 
@@ -62,11 +68,18 @@ def test_number_of_exterior_facets(cell):
 
 
 @every_cell
+def test_corners_of_no_facets(cell):
+    domain = mesh(cell)
+    corners = facet_corners(domain, *cells_of_facets(domain, np.empty(0, dtype=np.int32)))
+    assert corners.shape == (0, cell_type(domain).facet.vertices)
+
+
+@every_cell
 def test_exterior_facets_of_cells_are_on_the_surface(cell):
     domain = mesh(cell)
     exterior = exterior_cell_facets(domain)
     found = cell_facets(domain)[exterior]
-    x = domain.geometry.x[_compat.entity_nodes(domain, domain.topology.dim - 1, found)]
+    x = domain.geometry.x[facet_corners(domain, *cells_of_facets(domain, found))]
     x = x[:, :, : domain.geometry.dim]
     on_side = np.all(x == 0.0, axis=1) | np.all(x == 3.0, axis=1)
     assert exterior.sum() == EXTERIOR[cell]

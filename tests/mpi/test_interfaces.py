@@ -18,7 +18,7 @@ from joined_bodies import (
 from fenics_tfeti import ContactPair, ContactProblem, InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import owned_cells
+from fenics_tfeti.fem.topology import cell_vertices, cells_of_facets, facet_corners, owned_cells
 from fenics_tfeti.io import Interface, displacement_space, read_msh, split_interfaces
 from fenics_tfeti.parallel import concatenate_ranks
 
@@ -32,7 +32,11 @@ def corners(tagged):
     found = []
     for d, tags in ((dim, tagged.cell_tags), (dim - 1, tagged.facet_tags)):
         own = tags.indices < mesh.topology.index_map(d).size_local
-        places = mesh.geometry.x[_compat.entity_nodes(mesh, d, tags.indices[own])]
+        rows = tags.indices[own]
+        nodes = cell_vertices(mesh)[rows]
+        if d < dim:
+            nodes = facet_corners(mesh, *cells_of_facets(mesh, rows))
+        places = mesh.geometry.x[nodes]
         centres = np.round(places.mean(axis=1), 9)
         rows = concatenate_ranks(mesh.comm, np.column_stack([tags.values[own], centres]))
         found.append(rows[np.lexsort(rows.T)])

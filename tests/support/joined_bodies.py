@@ -10,6 +10,7 @@ import ufl
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import cells_of_facets, facet_corners
 from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 
 GDIM = {"triangle": 2, "quadrilateral": 2, "tetrahedron": 3, "hexahedron": 3}
@@ -31,7 +32,7 @@ def block(cell, body, comm=MPI.COMM_SELF, n=4, tagged=None):
     if tagged is not None:
         index_map = mesh.topology.index_map(gdim - 1)
         every = np.arange(index_map.size_local + index_map.num_ghosts, dtype=np.int32)
-        centres = mesh.geometry.x[_compat.entity_nodes(mesh, gdim - 1, every)].mean(axis=1)
+        centres = mesh.geometry.x[facet_corners(mesh, *cells_of_facets(mesh, every))].mean(axis=1)
         found.update(dict.fromkeys(every[tagged(centres)].tolist(), 9))
     order = np.array(sorted(found), dtype=np.int32)
     tags = meshtags(mesh, gdim - 1, order, np.array([found[f] for f in order], dtype=np.int32))

@@ -25,7 +25,12 @@ from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
 from fenics_tfeti.fem.tolerances import SAME_PLACE
-from fenics_tfeti.fem.topology import exterior_cell_facets, global_numbers
+from fenics_tfeti.fem.topology import (
+    cells_of_facets,
+    exterior_cell_facets,
+    facet_corners,
+    global_numbers,
+)
 from fenics_tfeti.parallel import Directory, concatenate_ranks, send_rows
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
@@ -50,7 +55,7 @@ def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _S
     """Return the nodes of the exterior facets of this rank's cells; pairs and bolts mark them."""
     domain = cells.domain
     cell, facet = np.nonzero(exterior_cell_facets(domain))
-    nodes = cells.nodes[cell[:, None], np.array(cells.type.facets)[facet]]
+    nodes = facet_corners(domain, cell, facet)
     local, body = nodes.ravel(), np.repeat(cells.body[cell], nodes.shape[1])
     _, first, row = np.unique(
         body * len(domain.geometry.x) + local, return_index=True, return_inverse=True
@@ -83,7 +88,7 @@ def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mas
         tags = contact.facet_tags
         if _compat.tags_are_on(tags, domain) and tags.dim == dim:
             for mark, tag in zip(marks, (contact.slave, contact.master), strict=True):
-                mark[_compat.entity_nodes(domain, dim, tags.find(tag))] = True
+                mark[facet_corners(domain, *cells_of_facets(domain, tags.find(tag)))] = True
     return marks[0], marks[1]
 
 

@@ -30,9 +30,11 @@ from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import (
     NO_TAG,
     body_names,
+    cells_of_facets,
     connected_labels,
     dense_tags,
     distinct_rows,
+    facet_corners,
     owned_cells,
 )
 from fenics_tfeti.parallel import positions, raise_collectively
@@ -130,7 +132,7 @@ def _gather(tagged: TaggedMesh) -> WholeMesh | None:
     geometry = _compat.geometry_cells(mesh)[:owned]
     # dolfinx 0.5 may number a node that two ranks share twice; the input's numbers are unique
     numbers = np.asarray(mesh.geometry.input_global_indices, dtype=np.int64)
-    tagged_facets = _compat.entity_nodes(mesh, mesh.topology.dim - 1, tagged.facet_tags.indices)
+    tagged_facets = facet_corners(mesh, *cells_of_facets(mesh, tagged.facet_tags.indices))
     columns = (
         _compat.input_cells(mesh),
         numbers[geometry],

@@ -16,7 +16,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.tagged_mesh import Names, TaggedMesh, sorted_tags
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
-from fenics_tfeti.fem.topology import with_body_names
+from fenics_tfeti.fem.topology import cells_of_facets, with_body_names
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
@@ -253,6 +253,4 @@ def _selected(
     facets: Indices = locate_entities_boundary(mesh, dim - 1, checked)
     if body is None:
         return facets
-    cells_of_facets = mesh.topology.connectivity(dim - 1, dim)
-    cells = cells_of_facets.array[cells_of_facets.offsets[facets]]
-    return facets[np.isin(cells, cell_tags.find(body))]
+    return facets[np.isin(cells_of_facets(mesh, facets)[0], cell_tags.find(body))]

@@ -20,8 +20,8 @@ from fenics_tfeti import (
     NonlinearContactProblem,
     find_contacts,
 )
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import owned_facets
+from fenics_tfeti.fem.topology import cell_vertices, cells_of_facets, facet_corners
 from fenics_tfeti.io import Box, Interface, boxes, displacement_space, split_interfaces, tag_facets
 from fenics_tfeti.models import isotropic, neo_hookean
 from fenics_tfeti.parallel import concatenate_ranks
@@ -36,7 +36,7 @@ def middles(mesh, pair):
     found = []
     for tag in (pair.slave, pair.master):
         facets = owned_facets(mesh, pair.facet_tags, tag)
-        nodes = _compat.entity_nodes(mesh, mesh.topology.dim - 1, facets)
+        nodes = facet_corners(mesh, *cells_of_facets(mesh, facets))
         places = mesh.geometry.x[nodes].mean(axis=1)[:, : mesh.geometry.dim].round(9)
         found.append(sorted(map(tuple, concatenate_ranks(mesh.comm, places).tolist())))
     return found
@@ -70,8 +70,7 @@ def test_slave_of_graded_meshes():
     mesh, x = made.mesh, made.mesh.geometry.x
     fine = 0.01 * np.arange(9)
     graded = np.append(fine, np.linspace(fine[-1], 2.0, 9)[1:])
-    mesh.topology.create_connectivity(2, 2)
-    lower = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(1)))
+    lower = np.unique(cell_vertices(mesh)[made.cell_tags.find(1)])
     x[lower, 0] = np.interp(x[lower, 0], np.linspace(0.0, 2.0, 17), graded)
     (pair,) = find_contacts(mesh, made.cell_tags)
     assert pair.name == "body 1 (cell tag 2) on body 0 (cell tag 1)"
@@ -125,8 +124,7 @@ def test_facets_that_are_inclined(slope, facets):
     made = boxes(COMM, slabs, "quadrilateral")
     mesh, x = made.mesh, made.mesh.geometry.x
     x[:, 0] *= x[:, 0]
-    mesh.topology.create_connectivity(2, 2)
-    upper = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(2)))
+    upper = np.unique(cell_vertices(mesh)[made.cell_tags.find(2)])
     x[upper, 1] += slope * x[upper, 0] * (2.0 - x[upper, 1])
     (pair,) = find_contacts(mesh, made.cell_tags)
     assert [len(part) for part in middles(mesh, pair)] == [facets, facets]
@@ -137,8 +135,7 @@ def test_bodies_that_are_left_out():
     floor, left = Box((0, -1), (2.2, 0), (44, 2)), Box((0, 0), (1, 1), (20, 2))
     made = boxes(COMM, [floor, left, Box((1.2, 0), (2.2, 1), (20, 2))], "quadrilateral")
     mesh, x = made.mesh, made.mesh.geometry.x
-    mesh.topology.create_connectivity(2, 2)
-    right = np.unique(_compat.entity_nodes(mesh, 2, made.cell_tags.find(3)))
+    right = np.unique(cell_vertices(mesh)[made.cell_tags.find(3)])
     x[right, 0] += 0.3 * x[right, 1]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -11,7 +11,7 @@ from joined_bodies import measure
 from msh_files import CELLS, SQUARE, TETRAHEDRON, write_cell, write_msh
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import cells_of_facets, facet_corners
 from fenics_tfeti.io import read_msh
 
 gmsh = pytest.importorskip("gmsh")
@@ -226,8 +226,9 @@ def test_two_beams_have_the_volumes_and_areas_of_the_drawing(two_beams):
 def test_two_beams_have_matching_but_separate_nodes_at_the_contact(two_beams):
     nodes = [
         np.unique(
-            _compat.entity_nodes(
-                two_beams.mesh, 2, two_beams.facet_tags.find(two_beams.names[name])
+            facet_corners(
+                two_beams.mesh,
+                *cells_of_facets(two_beams.mesh, two_beams.facet_tags.find(two_beams.names[name])),
             )
         )
         for name in ("contact_upper", "contact_lower")

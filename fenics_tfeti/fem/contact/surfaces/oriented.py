@@ -19,7 +19,7 @@ from fenics_tfeti.fem.reference_cells import (
     shape_gradients,
     shape_values,
 )
-from fenics_tfeti.fem.topology import cell_facets, cell_type, cell_vertices
+from fenics_tfeti.fem.topology import cell_type, cell_vertices, cells_of_facets, facet_corners
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
 
@@ -32,34 +32,25 @@ def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:
     """Return the local nodes (f, t) of owned facets on the boundary, oriented as in `Facets`."""
-    domain = space.mesh
-    dim, cell = domain.topology.dim, cell_type(domain)
-    domain.topology.create_connectivity(dim - 1, dim)
-    cells_of_facets = domain.topology.connectivity(dim - 1, dim)
-    cells = np.asarray(cells_of_facets.array)[np.asarray(cells_of_facets.offsets)[facets]]
-    numbers = np.argmax(cell_facets(domain)[cells] == facets[:, None], axis=1)
-    degree = _compat.element_facts(space)[1]
-    columns = np.array(cell.facet_nodes(degree))
+    domain, degree = space.mesh, _compat.element_facts(space)[1]
+    cells, numbers = cells_of_facets(domain, facets)
+    columns = np.array(cell_type(domain).facet_nodes(degree))
     nodes: Indices = _compat.cell_dofs(space)[cells[:, None], columns[numbers]]
-
     return _outwards(domain, cells, numbers, nodes)
 
 
 def oriented_corners(domain: Mesh, cells: Numbers, numbers: Numbers) -> Indices:
     """Return the rows (f, v) of ``geometry.x`` at the corners of facets of cells, as above."""
-    corners = np.array(cell_type(domain).facet_nodes(1))[numbers]
-    corners = np.take_along_axis(cell_vertices(domain)[cells], corners, axis=1)
-    return _outwards(domain, cells, numbers, corners)
+    return _outwards(domain, cells, numbers, facet_corners(domain, cells, numbers))
 
 
-def _outwards(domain: Mesh, cells: Numbers, numbers: Numbers, nodes: Indices) -> Indices:
+def _outwards(domain: Mesh, cells: Numbers | Indices, numbers: Numbers, nodes: Indices) -> Indices:
     """Return the nodes (f, t) of facets of cells, by their numbers in these, oriented outwards."""
-    x, cell = domain.geometry.x[:, : domain.geometry.dim], cell_type(domain)
-    rows = cell_vertices(domain)[cells]
-    corners = x[np.take_along_axis(rows, np.array(cell.facet_nodes(1))[numbers], axis=1)]
-    outward = centres(corners) - centres(x[rows])
+    x = domain.geometry.x[:, : domain.geometry.dim]
+    corners = x[facet_corners(domain, cells, numbers)]
+    outward = centres(corners) - centres(x[cell_vertices(domain)[cells]])
     inverted = np.einsum("fd,fd->f", facet_normals(corners), outward) < 0.0
-    reflected = nodes[:, _reflection(cell.facet, nodes.shape[1])]
+    reflected = nodes[:, _reflection(cell_type(domain).facet, nodes.shape[1])]
     return np.where(inverted[:, None], reflected, nodes)
 
 
