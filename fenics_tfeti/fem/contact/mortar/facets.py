@@ -13,6 +13,7 @@ from functools import cached_property, reduce
 
 import numpy as np
 
+from fenics_tfeti.fem.reference_cells import facet_type, lagrange_points, shape_values
 from fenics_tfeti.typing import Numbers, Vector
 
 # For the number of nodes of a facet of degree 2, the corners of its pieces.
@@ -20,16 +21,6 @@ _PIECES = {
     3: ((0, 2), (2, 1)),
     6: ((0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)),
     9: ((0, 4, 8, 7), (4, 1, 5, 8), (8, 5, 2, 6), (7, 8, 6, 3)),
-}
-
-# The reference coordinates of its nodes.
-REFERENCE_NODES = {
-    3: ((0.0,), (1.0,), (0.5,)),
-    6: ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (0.5, 0.0), (0.5, 0.5), (0.0, 0.5)),
-    9: (
-        *((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)),
-        *((0.0, -1.0), (1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, 0.0)),
-    ),
 }
 
 
@@ -53,10 +44,7 @@ class Facets:
     @property
     def number_of_corners(self) -> int:
         """Number of corners of a facet, and of each of its pieces."""
-        t = self.nodes.shape[1]
-        if self.points.shape[1] == 2:
-            return 2
-        return {6: 3, 9: 4}.get(t, t)
+        return facet_type(self.points.shape[1] - 1, self.nodes.shape[1])[0].vertices
 
     @property
     def corners(self) -> Numbers:
@@ -113,9 +101,11 @@ class Facets:
         per_facet, t = self.per_facet, self.nodes.shape[1]
         if per_facet == 1:
             return xi
-        corners = np.array(REFERENCE_NODES[t])[np.array(_PIECES[t])]
-        v = corners.shape[1]
-        return np.matmul(shape_functions(xi, v), corners[piece % per_facet])
+        cell, degree = facet_type(xi.shape[-1], t)
+        nodes = lagrange_points(cell.name, degree)[list(cell.around(degree))]
+        nodes = nodes if cell.is_simplex else 2.0 * nodes - 1.0
+        corners = nodes[np.array(_PIECES[t])]
+        return np.matmul(shape_functions(xi, cell.vertices), corners[piece % per_facet])
 
 
 def apart(x: Vector, contact: Numbers) -> Vector:
@@ -221,33 +211,15 @@ def shape_functions(xi: Vector, t: int) -> Vector:
     quadrilaterals. The nodes are the corners for degree 1, all nodes of `Facets` for degree 2.
     """
     dim = xi.shape[-1]
-    if t == dim + 1:
-        coordinates = [xi[..., i] for i in range(dim)]
-        return by_component([1.0 - reduce(np.add, coordinates), *coordinates])
-    if t == 4:
-        r, s = 0.5 * xi[..., 0], 0.5 * xi[..., 1]
-        r0, r1, s0, s1 = 0.5 - r, 0.5 + r, 0.5 - s, 0.5 + s
-        return by_component([r0 * s0, r1 * s0, r1 * s1, r0 * s1])
-    if t == 9:
-        return _biquadratic_functions(xi)
-    linear = shape_functions(xi, dim + 1)
-    ends = [(0, 1)] if dim == 1 else [(0, 1), (1, 2), (2, 0)]
-    middle = [4.0 * linear[..., i] * linear[..., j] for i, j in ends]
-    return np.concatenate([linear * (2.0 * linear - 1.0), np.stack(middle, axis=-1)], axis=-1)
+    cell, degree = facet_type(dim, t)
+    places = (xi if cell.is_simplex else 0.5 * (1.0 + xi)).reshape(-1, dim)
+    values = shape_values(cell.name, degree, places)
+    return by_component([values[:, k].reshape(xi.shape[:-1]) for k in cell.around(degree)])
 
 
 def corner_functions(xi: Vector, t: int) -> Vector:
     """Return the shape functions (..., v) of degree 1 at the corners of facets with t nodes."""
-    dim = xi.shape[-1]
-    return shape_functions(xi, 4 if t in (4, 9) else dim + 1)
-
-
-def _biquadratic_functions(xi: Vector) -> Vector:
-    # along each axis: the ends -1 and 1, then the middle
-    x = np.moveaxis(xi, -1, 0)
-    r, s = np.stack([0.5 * x * (x - 1.0), 0.5 * x * (x + 1.0), 1.0 - x * x], axis=1)
-    places = [(0, 0), (1, 0), (1, 1), (0, 1), (2, 0), (1, 2), (2, 1), (0, 2), (2, 2)]
-    return np.stack([r[i] * s[j] for i, j in places], axis=-1)
+    return shape_functions(xi, facet_type(xi.shape[-1], t)[0].vertices)
 
 
 def reference_coordinates(corners: Vector, x: Vector) -> Vector:

@@ -14,8 +14,8 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.mortar.facets import centres, cross, facet_normals
 from fenics_tfeti.fem.reference_cells import (
     ReferenceCell,
+    facet_type,
     quadrature,
-    reference_cell,
     shape_gradients,
     shape_values,
 )
@@ -81,11 +81,10 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
         return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
     if t == 4 and weight is None:
         return _bilinear_normals(x)
-    name = "interval" if dim == 1 else "triangle" if t in (3, 6) else "quadrilateral"
-    cell, degree = reference_cell(name), 1 if t in (dim + 1, 4) else 2
-    xi, factors = quadrature(name, 4 if name == "triangle" else 5)
-    functions = shape_values(name, 1, xi)[:, cell.around(1)]
-    derivatives = shape_gradients(name, degree, xi)[:, :, cell.around(degree)]
+    cell, degree = facet_type(dim, t)
+    xi, factors = quadrature(cell.name, 4 if cell.name == "triangle" else 5)
+    functions = shape_values(cell.name, 1, xi)[:, cell.around(1)]
+    derivatives = shape_gradients(cell.name, degree, xi)[:, :, cell.around(degree)]
     tangents = [np.einsum("qt,mtd->mqd", part, x) for part in derivatives]
     if dim == 1:
         normal = np.stack([tangents[0][..., 1], -tangents[0][..., 0]], axis=2)
