@@ -169,10 +169,11 @@ def axisymmetric_strain(u: Any) -> Any:
     return ufl.as_tensor([[e[0, 0], e[0, 1], 0], [e[1, 0], e[1, 1], 0], [0, 0, u[0] / r]])
 
 
-def stress(u: Any, young: Any, poisson: float = POISSON, strain: Any = strain) -> Any:
+def stress(u: Any, young: Any, poisson: Any = POISSON, strain: Any = strain) -> Any:
     """Return Hooke's stress, in two dimensions for plane strain."""
-    e = strain(u)
-    nu = fem.Constant(u.ufl_function_space().ufl_domain(), poisson)
+    e, nu = strain(u), poisson
+    if not hasattr(nu, "ufl_shape"):
+        nu = fem.Constant(u.ufl_function_space().ufl_domain(), nu)
     mu, lam = young / (2 * (1 + nu)), young * nu / ((1 + nu) * (1 - 2 * nu))
     return 2 * mu * e + lam * ufl.tr(e) * ufl.Identity(e.ufl_shape[0])
 
@@ -182,7 +183,7 @@ def elasticity(
     v: Any,
     young: Any,
     measure: Any = ufl.dx,
-    poisson: float = POISSON,
+    poisson: Any = POISSON,
     strain: Any = strain,
 ) -> Any:
     return ufl.inner(stress(u, young, poisson, strain), strain(v)) * measure
