@@ -19,12 +19,6 @@ REFERENCES = {
     (3, 4, 0.45): (0.244196484, 0.027575479),
 }
 THIRDS = [1 / 3, 2 / 3, 1.0]
-LARGE = [
-    pytest.param(block, size, marks=heavy)
-    for block in REFERENCES
-    for size in (200, 3000)
-    if (block, size) != ((2, 8, 0.45), 3000)
-]
 
 
 def check(scene, block, turned=0.0):
@@ -34,7 +28,9 @@ def check(scene, block, turned=0.0):
     assert scene.energy == pytest.approx(energy, abs=1e-7)
 
 
-@pytest.mark.parametrize(("block", "size"), [((2, 8, 0.45), 3000), *LARGE])
+@heavy
+@pytest.mark.parametrize("size", [200, 3000])
+@pytest.mark.parametrize("block", REFERENCES)
 def test_force_and_energy(block, size):
     scene = indented_block(*block, newton_rtol=1e-8, subdomain_size=size)
     scene.solve(THIRDS)

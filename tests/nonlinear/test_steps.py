@@ -90,11 +90,11 @@ def test_repeated_solve_gives_the_same():
 
 def test_restored_problem_goes_on(tmp_path):
     file = tmp_path / "step"
-    scene = indented_block(newton_rtol=1e-9)
+    scene = indented_block(n=4, newton_rtol=1e-9)
     scene.solve([0.5])
     scene.problem.save(file)
     scene.solve([1.0])
-    other = indented_block(newton_rtol=1e-9, subdomain_size=200)
+    other = indented_block(n=4, newton_rtol=1e-9, subdomain_size=60)
     assert other.problem.restore(file) == 1
     other.solve([1.0])
     np.testing.assert_allclose(other.problem.u.x.array, scene.problem.u.x.array, atol=1e-8)

@@ -73,7 +73,7 @@ print(json.dumps(growth))
 @pytest.mark.parametrize(
     ("n", "method", "warm_up", "solves", "limit"),
     [
-        (2, "active_set", 10, 20, 0.005),
+        (2, "active_set", 5, 12, 0.003),
         *(
             pytest.param(n, method, 60, 100, 0.01, marks=pytest.mark.heavy)
             for n in (3, 8)
