@@ -62,8 +62,9 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> Indices:
     """Return some cells of each body and tag, and those where coefficients are extreme."""
     groups = [np.flatnonzero(bodies.of_cell == body) for body in np.unique(bodies.of_cell)]
     form = forms.bilinear
-    if "cell" in form.tags:
-        groups += [np.flatnonzero(form.tags["cell"] == tag) for tag in np.unique(form.tags["cell"])]
+    if "cell" in form.numbers:
+        numbers = form.numbers["cell"]
+        groups += [np.flatnonzero(numbers == number) for number in np.unique(numbers)]
     selected = [group[:: max(1, -(-group.size // 4))] for group in groups]  # four of each
     for values in form.cell_data():
         if values.dtype.kind == "f" and bodies.of_cell.size:

@@ -36,8 +36,10 @@ _TRANSLATION_INVARIANT = (
 )
 # UFL's measures by the kind of their integrals
 _MEASURES = {"cell": "dx", "exterior_facet": "ds"}
-# in place of a tag, in compiled forms too
+# in place of a tag, in compiled forms too, and of its number
 _EVERYWHERE = -1
+# number where a form has no integral
+_NOWHERE = -2
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,10 @@ class PreparedForm:
     name: str  # for messages
     form: ufl.Form
     compiled: _compat.CompiledForm
-    # by kind of integral, for each cell (m,) or facet of it (m, f) that is integrated over: its tag
-    # if an integral names that, else _EVERYWHERE
-    tags: dict[str, Numbers]
+    ids: dict[str, list[int]]  # by kind of integral the tags that integrals name
+    # by kind of integral, for each cell (m,) or facet of it (m, f): the position of its tag among
+    # these, _EVERYWHERE for others that are integrated over, or _NOWHERE; in the shortest integers
+    numbers: dict[str, Numbers]
     translation_invariant: bool  # a translated cell has the same element matrix
 
     def integrated(self, cells: Indices) -> Mask:
@@ -61,8 +64,10 @@ class PreparedForm:
 
     def _entities(self, kind: str, tag: int, cells: Indices) -> tuple[Indices, ...]:
         """Return the rows of the cells that an integral is over, or those of facets and these."""
-        tags = self.tags[kind][cells]
-        return np.nonzero(tags != NO_TAG if tag == _EVERYWHERE else tags == tag)
+        numbers = self.numbers[kind][cells]
+        if tag == _EVERYWHERE:
+            return np.nonzero(numbers != _NOWHERE)
+        return np.nonzero(numbers == self.ids[kind].index(tag))
 
     def element_tensors(self, space: FunctionSpace, cells: Indices) -> Vector:
         """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
@@ -89,7 +94,7 @@ class PreparedForm:
 
     def cell_data(self) -> list[Array]:
         """Return tags and coefficients (cells, ...) by which the element matrices may differ."""
-        return [*self.tags.values(), *map(_values_of_cells, self.form.coefficients())]
+        return [*self.numbers.values(), *map(_values_of_cells, self.form.coefficients())]
 
 
 def prepare_form(
@@ -124,14 +129,21 @@ def prepare_form(
         present = tag[integrated[kind] & (tag != NO_TAG)]
         _check_used(domain, present, ids[kind], f"the {name} has {_MEASURES[kind]}")
     compiled = _compat.CompiledForm(form, domain, compiler)
-    integrals = {(kind, tag) for kind, tag, _ in compiled.integrals}
-    for kind, tag in tags.items():
-        is_everywhere = (kind, _EVERYWHERE) in integrals
-        tag[~np.isin(tag, ids[kind])] = _EVERYWHERE if is_everywhere else NO_TAG
-        tag[~integrated[kind]] = NO_TAG
-    kinds = {kind for kind, _ in integrals}
-    tags = {kind: tag for kind, tag in tags.items() if kind in kinds}
-    return PreparedForm(name, form, compiled, tags, _is_translation_invariant(form))
+    integrals = [(kind, tag) for kind, tag, _ in compiled.integrals]
+    numbers = {}
+    for kind in dict(integrals):
+        others = _EVERYWHERE if (kind, _EVERYWHERE) in integrals else _NOWHERE
+        numbers[kind] = _numbered(tags[kind], ids[kind], others)
+        numbers[kind][~integrated[kind]] = _NOWHERE
+    return PreparedForm(name, form, compiled, ids, numbers, _is_translation_invariant(form))
+
+
+def _numbered(tags: Numbers, ids: list[int], others: int) -> Numbers:
+    """Return the positions of tags among some of them, and `others` for those that are not."""
+    numbers = np.full(tags.shape, others, dtype=np.min_scalar_type(-len(ids) + _NOWHERE))
+    for number, tag in enumerate(ids):
+        numbers[tags == tag] = number
+    return numbers
 
 
 def _is_translation_invariant(form: ufl.Form) -> bool:

@@ -91,7 +91,7 @@ class GeneralizedInverse:
         gdim = subdomain.coordinates.shape[1]
         K = subdomain.stiffness if stiffness is None else stiffness
         self.size = K.shape[0]
-        self.symmetries = symmetries or SymmetryGroup.trivial(self.size)
+        self._symmetries = symmetries
         self.negative = 0  # negative eigenvalues of K_i
         self._factor: SparseFactor | None = None
         if subdomain.is_rigid:
@@ -120,6 +120,11 @@ class GeneralizedInverse:
                 f"{error}. Is the form elasticity with positive moduli, and each subdomain "
                 "connected through facets?"
             ) from error
+
+    @property
+    def symmetries(self) -> SymmetryGroup:
+        """The symmetries of K_i^+."""
+        return self._symmetries or SymmetryGroup.trivial(self.size)
 
     def solve(self, b: Vector) -> Vector:
         """Apply K_i^+ to a vector (n,) or to the columns of a matrix (n, k)."""
