@@ -206,8 +206,7 @@ class TornSolver:
             )
             setup = DualSetup.build(system, options, local, projector, inverses, package)
         with phase("deflation"):
-            # trial displacements are as large as the interface, and have chosen what they are for
-            setup = replace(setup.deflated(system, options, known), trials=[])
+            setup = setup.deflated(system, options, known)
         self._deflation_solves = setup.deflation_solves
         return setup, data, ["factors"] if known else []
 

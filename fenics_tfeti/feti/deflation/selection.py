@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from fenics_tfeti.feti.constraints.ground import TornUnknowns
@@ -45,35 +43,29 @@ def subdomains_with_jumps(
     return jumps
 
 
-def flexible_subdomains(
-    constraints: Constraints,
-    interface: Interface,
-    trials: Sequence[TrialDisplacements],
-    kernels: Sequence[Vector],
-    limits: Vector,
-    unit: float,
-) -> Mask:
-    """Tell which subdomains are so slender that some trial displacement shows a large eigenvalue.
+def weights_of_equality_rows(constraints: Constraints, interface: Interface, unit: float) -> Vector:
+    """Return D on the packed interface unknowns [N/m], zero where only contact rows act.
+
+    A weight of 1 stands for the stiffness `unit` [N/m].
+    """
+    weights = unit * constraints.weights[interface.columns]
+    weights[interface.matrix[np.flatnonzero(constraints.equality)].getnnz(axis=0) == 0] = 0.0
+    return weights
+
+
+def trial_eigenvalue(trial: TrialDisplacements, weights: Vector, R: Vector) -> float:
+    """Return what trial displacements show of the largest eigenvalue of a slender subdomain.
 
     As x'F_s x >= (x'B_s u)^2 / u'K_s u for any u, and B_s'B_s <= D, there are eigenvalues of
     P_s F_s P_s of about (u - Ra)'D(u - Ra) / u'K_s u, with the rigid motion a that makes it least.
-    The kernels are R_s (b, k) on the interface unknowns of each class, the limits (subdomains,) are
-    tau, and unit is the stiffness that a weight of 1 stands for [N/m].
+    D (k, b) is that on the interface unknowns of each of k congruent subdomains, without contact
+    rows, which are not deflated; R_s is (b, modes).
     """
-    weights = unit * constraints.weights[interface.columns]
-    # contact rows are not deflated
-    weights[interface.matrix[np.flatnonzero(constraints.equality)].getnnz(axis=0) == 0] = 0.0
-    found = [np.zeros(0)]
-    for roots, congruent, trial, R in zip(
-        interface.blocks(np.sqrt(weights)), interface.classes, trials, kernels, strict=True
-    ):
-        # of the members, one inside the body touches most
-        root = roots.max(axis=0)[:, None]
-        Q = np.linalg.qr(root * R)[0]
-        u = root * trial.values.T
-        squares = np.sum((u - Q @ (Q.T @ u)) ** 2, axis=0)
-        found.append(np.full(congruent.members.size, trial.largest(squares)))
-    return np.concatenate(found) > limits
+    # of the members, one inside the body touches most
+    root = np.sqrt(weights.max(axis=0))[:, None]
+    Q = np.linalg.qr(root * R)[0]
+    u = root * trial.values.T
+    return trial.largest(np.sum((u - Q @ (Q.T @ u)) ** 2, axis=0))
 
 
 def _ratio_of_neighbours(

@@ -25,7 +25,11 @@ from fenics_tfeti.feti.deflation.local_spectra import (
     local_vectors,
     threshold,
 )
-from fenics_tfeti.feti.deflation.selection import flexible_subdomains, subdomains_with_jumps
+from fenics_tfeti.feti.deflation.selection import (
+    subdomains_with_jumps,
+    trial_eigenvalue,
+    weights_of_equality_rows,
+)
 from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
 from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
@@ -34,6 +38,7 @@ from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
 from fenics_tfeti.feti.dual.preconditioner import (
     Choice,
     Preconditioner,
+    PreconditionerKind,
     interface_operator,
     interface_reactions,
     lumped_excess,
@@ -150,7 +155,9 @@ class DualSetup:
     choice: Choice  # of the preconditioner
     norm: ProjectedNorm  # ||PFP||
     row_bodies: RowBodies
-    trials: list[TrialDisplacements]  # of each class; empty where they are needed no more
+    # (subdomains,) of F_s that trial displacements show, in the order of the packed interface
+    # unknowns; empty where nothing is chosen by them
+    eigenvalues: Vector
     # of each class, None where there are none; empty if they are not looked for
     stiff_modes: Sequence[StiffModes | None]
     negative: int  # negative eigenvalues of the K_i of all ranks
@@ -174,8 +181,9 @@ class DualSetup:
         constraints = coarse_space.constraints
         negative = sum(of_subdomains(local.classes, [i.negative for i in inverses]))
         of_all = system.comm.allreduce(negative)
-        trials = _trial_displacements(system, options, local, F)
-        choice, reactions = _chosen_reactions(system, options, local, F, trials, package, negative)
+        choice, reactions, eigenvalues = _chosen_reactions(
+            system, options, local, F, package, negative
+        )
         preconditioner, scaling, modes = None, None, list[StiffModes | None]()
         if choice.kind == "dirichlet" and options.deflation != "off":
             modes = _stiff_modes(system, local, F, reactions)
@@ -202,7 +210,7 @@ class DualSetup:
             choice,
             ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
-            trials,
+            eigenvalues,
             modes,
             of_all,
         )
@@ -284,7 +292,6 @@ class DualSetup:
         interface, local = self.F.interface, self.local
         order = [member for congruent in local.classes for member in congruent.members]
         chosen = np.ones(len(order), dtype=bool)
-        kernels = local.on_interface(interface)
         nodes = [system.subdomains[member].nodes.size for member in order]
         limits = np.array([threshold(system.gdim, n) for n in nodes])
         if options.deflation == "auto":
@@ -293,20 +300,16 @@ class DualSetup:
             # with weights of 1, F measures every stiffness
             if options.scaling == "stiffness":
                 chosen |= subdomains_with_jumps(system, self.constraints, interface, local.unknowns)
-                trials = self.trials or _trial_displacements(system, options, local, self.F)
-                flexible = flexible_subdomains(
-                    self.constraints, interface, trials, kernels, limits, local.unit
-                )
                 # F is large in the directions of soft supports: F_c would lose as many digits
                 if not any_rank(system.comm, local.unknowns.grounds):
-                    chosen |= flexible
+                    chosen |= self.eigenvalues > limits
             if not any_rank(system.comm, chosen):
                 return None
         vectors = local_vectors(
             TornRows.build(interface, self.constraints.equality, chosen),
             interface,
             self.F.on_interface,
-            kernels,
+            local.on_interface(interface),
             numbers=self.constraints.layout.numbers,
             unit=local.unit,
             limits=factor * limits,
@@ -344,20 +347,41 @@ def _unstable_if(negative: int) -> Iterator[None]:
         ) from error
 
 
-def _trial_displacements(
-    system: TornSystem, options: Options, local: LocalSetup, F: DualOperator
-) -> list[TrialDisplacements]:
-    """Return those of each class, if there is anything to be chosen by them."""
+def _by_trial_displacements(
+    system: TornSystem,
+    options: Options,
+    local: LocalSetup,
+    F: DualOperator,
+    lumped: Sequence[Operator],
+) -> tuple[list[float], Vector]:
+    """Return `lumped_excess` of each class, and the largest eigenvalue of each subdomain.
+
+    A class at a time: its trial displacements are a dozen vectors. Empty where "auto" is not asked.
+    """
     if "auto" not in (options.preconditioner, options.deflation):
-        return []
-    return [
-        TrialDisplacements.build(
-            K, system.subdomains[congruent.first].coordinates_in_frame, unknowns
-        )
-        for congruent, K, unknowns in zip(
-            local.classes, local.stiffness, F.interface.unknowns, strict=True
-        )
-    ]
+        return [], np.zeros(0)
+    excesses, eigenvalues, interface = list[float](), [np.zeros(0)], F.interface
+    weights = interface.blocks(weights_of_equality_rows(F.constraints, interface, local.unit))
+    for i, (congruent, unknowns) in enumerate(
+        zip(interface.classes, interface.unknowns, strict=True)
+    ):
+        first = system.subdomains[congruent.first]
+        trial = TrialDisplacements.build(local.stiffness[i], first.coordinates_in_frame, unknowns)
+        if options.preconditioner == "auto":
+            edge = first.nodes.size ** (1.0 / system.gdim)
+            excesses.append(lumped_excess(lumped[i], trial, edge))
+        R = local.kernels[congruent.first][unknowns]
+        largest = trial_eigenvalue(trial, weights[i], R)
+        eigenvalues.append(np.full(congruent.members.size, largest))
+    return excesses, np.concatenate(eigenvalues)
+
+
+def _reactions(
+    kind: PreconditionerKind, local: LocalSetup, F: DualOperator, package: str
+) -> list[Operator]:
+    """Return S of each class for a preconditioner."""
+    kernels = [local.kernels[congruent.first] for congruent in local.classes]
+    return interface_reactions(kind, F.interface.unknowns, local.stiffness, kernels, package)
 
 
 def _chosen_reactions(
@@ -365,28 +389,24 @@ def _chosen_reactions(
     options: Options,
     local: LocalSetup,
     F: DualOperator,
-    trials: Sequence[TrialDisplacements],
     package: str,
     negative: int,
-) -> tuple[Choice, list[Operator]]:
-    """Return the preconditioner of the options, or of "auto", and S of each class. Collective."""
-    choice, unknowns = Choice(options.preconditioner), F.interface.unknowns
-    kernels = [local.kernels[congruent.first] for congruent in local.classes]
-    lumped = list[Operator]()
+) -> tuple[Choice, list[Operator], Vector]:
+    """Return the preconditioner of the options, or of "auto", and S of each class. Collective.
+
+    With them the eigenvalues that trial displacements show, see `_by_trial_displacements`.
+    """
+    choice, lumped = Choice(options.preconditioner), list[Operator]()
     if choice.kind in ("auto", "lumped"):
-        lumped = interface_reactions("lumped", unknowns, local.stiffness, kernels, package)
+        lumped = _reactions("lumped", local, F, package)
+    excesses, eigenvalues = _by_trial_displacements(system, options, local, F, lumped)
     if choice.kind == "auto":
-        edges = [
-            system.subdomains[congruent.first].nodes.size ** (1.0 / system.gdim)
-            for congruent in local.classes
-        ]
         # an indefinite interior has no Dirichlet preconditioner
-        excesses = [] if negative else list(map(lumped_excess, lumped, trials, edges))
-        choice = Choice.by_data(system.comm, local.ratios, excesses)
+        choice = Choice.by_data(system.comm, local.ratios, [] if negative else excesses)
     if choice.kind != "dirichlet":
-        return choice, lumped
+        return choice, lumped, eigenvalues
     with raise_collectively(system.comm), _unstable_if(negative):
-        return choice, interface_reactions("dirichlet", unknowns, local.stiffness, kernels, package)
+        return choice, _reactions("dirichlet", local, F, package), eigenvalues
 
 
 def _stiff_modes(
