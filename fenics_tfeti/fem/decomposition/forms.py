@@ -139,10 +139,9 @@ def prepare_form(
 
 
 def _numbered(tags: Numbers, ids: list[int], others: int) -> Numbers:
-    """Return the positions of tags among some of them, and `others` for those that are not."""
-    numbers = np.full(tags.shape, others, dtype=np.min_scalar_type(-len(ids) + _NOWHERE))
-    for number, tag in enumerate(ids):
-        numbers[tags == tag] = number
+    """Return the positions of tags among some that ascend, and `others` for those that are not."""
+    numbers = np.searchsorted(ids, tags).astype(np.min_scalar_type(-len(ids) + _NOWHERE))
+    numbers[~np.isin(tags, ids)] = others
     return numbers
 
 
