@@ -34,7 +34,9 @@ class Plastic:
         s = 2 * SHEAR * (ufl.dev(strain(u)) - plastic)
         size = ufl.sqrt(1.5 * ufl.inner(s, s) + 1e-30)
         excess = size - YIELD - HARDENING * p
-        return s, size, ufl.max_value(excess, 0.0) / (3 * SHEAR + HARDENING)
+        # what has just yielded is elastic at first, whatever the sign of its excess by rounding
+        flow = ufl.conditional(ufl.gt(excess, 1e-12), excess, 0.0) / (3 * SHEAR + HARDENING)
+        return s, size, flow
 
     def stress(self, u):
         """Return the stress after the radial return."""
