@@ -71,13 +71,14 @@ class TornProblem:
         found = self._find()
         with timer.phase("compilation"):
             forms = prepare_forms(space, a, L, data.compiler)
+        x = self._search.boundary.coordinates
         with timer.phase("partition"):
             cells = (
-                split_into_subdomains(space, self.bodies, data.size, data.partitioner)
+                split_into_subdomains(space, self.bodies, data.size, data.partitioner, x)
                 if data.subdomains is None
                 else as_subdomains(space.mesh, self.bodies, data.subdomains)
             )
-        self.torn = TornMesh(forms, self.bodies, cells, self._search.boundary.coordinates, timer)
+        self.torn = TornMesh(forms, self.bodies, cells, x, timer)
         self._contact_stiffness: ContactStiffness | None = None
         self._assemble(found)
 

@@ -91,10 +91,11 @@ def _best_move(label: Numbers, labels: Numbers) -> tuple[Numbers, Numbers]:
     The labels (k, m) are those of the neighbours of m cells.
     """
     outside = (labels >= 0) & (labels != label)
-    count = np.sum((labels[:, None] == labels) & outside[:, None], axis=0)
+    # short integers: several times faster
+    count = np.sum((labels[:, None] == labels) & outside[:, None], axis=0, dtype=np.int8)
     best, cell = np.argmax(count, axis=0), np.arange(label.size)
-    gain: Numbers = count[best, cell] - np.sum(labels == label, axis=0)
-    return gain, labels[best, cell]
+    gain = count[best, cell] - np.sum(labels == label, axis=0, dtype=np.int8)
+    return gain.astype(np.int64), labels[best, cell]
 
 
 def _neighbours(graph: sp.csr_matrix) -> Indices:

@@ -36,6 +36,7 @@ class Bodies:
     """
 
     of_cell: Numbers  # of each cell that this rank owns
+    piece: Numbers  # of each of these cells: of what is connected on this rank, and of one body
     deformable: int  # number of bodies that are not rigid, the first ones
     names: list[str]  # for messages
     tags: Numbers | None  # None where cells are not tagged
@@ -54,8 +55,8 @@ def find_bodies(
     tagged = cell_tags is not None
     tags = tags_of_cells(domain, cell_tags) if tagged else np.zeros(owned_cells(domain), np.int64)
     graph = cell_graph(domain)
-    unordered, bodies = _global_components(domain, graph, tags)
-    part = _global_components(domain, graph, np.zeros_like(tags))[0] if tagged else unordered
+    piece, unordered, bodies = _global_components(domain, graph, tags)
+    part = _global_components(domain, graph, np.zeros_like(tags))[1] if tagged else unordered
 
     # the cells of each body of this rank one after the other
     cells = np.argsort(unordered, kind="stable")
@@ -80,16 +81,21 @@ def find_bodies(
         labels = [f" ({known.get(tag, f'cell tag {tag}')})" for tag in tag_of_body.tolist()]
     names = [f"body {k}{labels[k]} in {box}" for k, box in enumerate(boxes)]
     deformable = bodies - int(np.count_nonzero(is_rigid))
-    return Bodies(of_cell, deformable, names, tag_of_body, common[order, 1], graph)
+    return Bodies(of_cell, piece, deformable, names, tag_of_body, common[order, 1], graph)
 
 
-def _global_components(domain: Mesh, graph: sp.csr_matrix, tags: Numbers) -> tuple[Numbers, int]:
-    """Return the connected component of equal tags of each cell, over all ranks; their number."""
+def _global_components(
+    domain: Mesh, graph: sp.csr_matrix, tags: Numbers
+) -> tuple[Numbers, Numbers, int]:
+    """Return the connected component of equal tags of each cell, on this rank and over all ranks.
+
+    With them the number of those over all ranks.
+    """
     count, component = components(graph, tags)
     # components of this rank, numbered over all ranks, then joined through facets between ranks
     first, total = first_of_rank(domain.comm, count)
     joined = _join_across_ranks(domain, component + first, tags, total)
-    return joined[component + first], int(joined.max(initial=-1)) + 1
+    return component, joined[component + first], int(joined.max(initial=-1)) + 1
 
 
 def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: int) -> Numbers:

@@ -20,7 +20,7 @@ from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Numbers
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 logger = logging.getLogger(__name__)
 
@@ -35,19 +35,21 @@ def split_into_subdomains(
     bodies: Bodies,
     unknowns: int,
     partitioner: Partitioner = "auto",
+    x: Vector | None = None,
 ) -> list[Indices]:
     """Split this rank's cells, body by body, into connected subdomains of about so many unknowns.
 
     "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
     cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
     bisects bodies of many cells that planes do not cut into more parts than intended, and leaves
-    all else to SCOTCH. Bodies that are images of each other are cut equally.
+    all else to SCOTCH. Bodies that are images of each other are cut equally. Where they are known,
+    `x` are the coordinates (dofs, 3) of the blocked degrees of freedom [m].
     """
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
-    bodies_of_rank = groups(components(bodies.graph, bodies.of_cell)[1])
+    bodies_of_rank = groups(bodies.piece)
     cuts: dict[bytes, Numbers] = {}
-    for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank))):
+    for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank)), x):
         cells = body.cells
         count = round(block * body.nodes.size / unknowns)
         if count <= 1:
