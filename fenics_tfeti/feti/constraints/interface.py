@@ -64,12 +64,11 @@ class Interface:
 
     def blocks(self, packed: Vector) -> list[Vector]:
         """Return a packed vector as matrices (k, interface unknowns), one for each class."""
-        sizes = [c.members.size * u.size for c, u in zip(self.classes, self.unknowns, strict=True)]
-        parts = np.split(packed, np.cumsum(sizes)[:-1]) if sizes else []
-        return [
-            part.reshape(c.members.size, u.size)
-            for part, c, u in zip(parts, self.classes, self.unknowns, strict=True)
-        ]
+        blocks, end = list[Vector](), 0
+        for c, u in zip(self.classes, self.unknowns, strict=True):
+            begin, end = end, end + c.members.size * u.size
+            blocks.append(packed[begin:end].reshape(c.members.size, u.size))
+        return blocks
 
     def apply(self, operators: Sequence[Callable[[Vector], Vector]], packed: Vector) -> Vector:
         """Apply an operator (k, b) -> (k, b) to each class' block of a packed vector."""
