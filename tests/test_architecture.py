@@ -23,9 +23,13 @@ LAYERS = {
     "typing": (set(), {"numpy"}),
     "errors": (set(), set()),
     "parallel": ({"typing", "errors"}, {"mpi4py", "numpy"}),
+    "compiled": ({"typing"}, set()),
     "qp": ({"typing", "errors"}, {"numpy", "scipy"}),
-    "feti": ({"typing", "errors", "parallel", "qp"}, {"mpi4py", "numpy", "petsc4py", "scipy"}),
-    "fem": ({"typing", "errors", "parallel", "feti"}, None),
+    "feti": (
+        {"typing", "errors", "parallel", "compiled", "qp"},
+        {"mpi4py", "numpy", "petsc4py", "scipy"},
+    ),
+    "fem": ({"typing", "errors", "parallel", "compiled", "feti"}, None),
 }
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = [

@@ -9,11 +9,9 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import repeat
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -34,6 +32,7 @@ from ufl.algorithms.check_arities import ArityMismatch, check_form_arity
 from ufl.algorithms.remove_complex_nodes import remove_complex_nodes
 from ufl.differentiation import CoefficientDerivative, VariableDerivative
 
+from fenics_tfeti.fem.assembly_loops import integrate
 from fenics_tfeti.fem.form_numbers import with_constants
 from fenics_tfeti.fem.reference_cells import reference_cell
 from fenics_tfeti.typing import Array, Indices, Numbers, Vector
@@ -367,25 +366,9 @@ class CompiledForm:
         local numbers, one for each of the rows.
         """
         ffi = self._module.ffi
-
-        def pointers(values: Array, at: Array, kind: str = "double") -> Any:
-            if not values.size:
-                return repeat(ffi.NULL)
-            addresses = values.ctypes.data + values.strides[0] * at.astype(np.uintp)
-            return ffi.from_buffer(f"{kind} *[]", addresses)
-
         constants = np.concatenate([[], *(np.ravel(c.value) for c in self._form.constants())])
-        places = np.zeros(0, dtype=np.int32) if facets is None else facets
-        arguments = [
-            pointers(tensors, rows),
-            pointers(coefficients, rows),
-            repeat(ffi.cast("double *", constants.ctypes.data)),
-            pointers(coordinates, rows),
-            pointers(places, np.arange(places.size), "int"),
-        ]
-        more = len(ffi.typeof(kernel).args) - len(arguments)
-        # the loop over the cells is within map and deque
-        deque(map(kernel, *arguments, *[repeat(ffi.NULL)] * more), maxlen=0)
+        address, arguments = int(ffi.cast("uintptr_t", kernel)), len(ffi.typeof(kernel).args)
+        integrate(address, arguments, rows, tensors, coefficients, constants, coordinates, facets)
 
 
 # -- meshes, files and pictures ----------------------------------------------------------------

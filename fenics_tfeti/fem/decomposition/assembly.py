@@ -32,8 +32,8 @@ from fenics_tfeti.typing import Indices, Numbers, Vector
 
 logger = logging.getLogger(__name__)
 
-# numbers in the element matrices of the cells that are assembled at once: 8 MB stay in the cache
-_ENTRIES = 2**20
+# numbers in the element matrices of the cells that are assembled at once: 4 MB stay in the cache
+_ENTRIES = 2**19
 # cells whose element vectors are added at once
 _CELLS = 2**13
 
@@ -133,11 +133,10 @@ class PreparedForms:
         """Assemble K_i of a part, a few of its cells at a time."""
         block = self.space.dofmap.index_map_bs
         pattern = part.pattern(block)
-        data = np.zeros((pattern.rows.size, block))
+        data = np.zeros(pattern.indices.size)
         size = (part.table.shape[1] * block) ** 2
-        for batch in batches(part.cells.size, max(1, max(_ENTRIES, data.size) // size)):
-            matrices = self.cell_matrices(part.cells[batch])
-            data += pattern.adder(batch) @ matrices.reshape(-1, block)
+        for batch in batches(part.cells.size, max(1, _ENTRIES // size)):
+            pattern.add(data, batch, self.cell_matrices(part.cells[batch]))
         return pattern.matrix(data)
 
     def _sample_matrices(

@@ -15,6 +15,7 @@ from ufl.corealg.traversal import traverse_unique_terminals
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.assembly_loops import assembly_library
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, dense_tags, owned_cells
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
@@ -119,6 +120,7 @@ def prepare_form(
                     "subdomains are torn from each other"
                 )
         _check_coefficients(form, name, domain)
+        assembly_library()
         data = {kind: _subdomain_data(form, kind, ids[kind], name, domain) for kind in _MEASURES}
 
     owned, facets = owned_cells(domain), cell_facets(domain)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.assembly_loops import add_matrices, block_format, neighbours_of_nodes
 from fenics_tfeti.fem.decomposition.images import find_images
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING
 from fenics_tfeti.typing import Array, Indices, Numbers, Vector
@@ -21,53 +22,28 @@ from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 @dataclass(frozen=True)
 class BlockPattern:
-    """The nonzero blocks of a stiffness matrix, and those of element matrices in it.
+    """The nonzero blocks of a stiffness matrix, between nodes of common cells."""
 
-    Its data are rows (k * b, b) of the k blocks, in the order of the CSR format.
-    """
-
-    indices: Indices  # (k * b * b,) of the CSR format
-    indptr: Indices
-    position: Indices  # (m, v, v) block that each block of a cell's matrix is added to
-    rows: Indices  # (k, b) rows of each block
+    table: Indices  # (m, v) nodes of each cell
+    ends: Indices  # (nodes + 1,) of each node's neighbours
+    neighbours: Indices  # ascending, each node among its own
+    indptr: Indices  # of the CSR format, unknowns node by node
+    indices: Indices
 
     @staticmethod
     def of(table: Indices, nodes: int, size: int) -> BlockPattern:
         """Return the pattern of cells with nodes in a table (m, v), and blocks of a size."""
-        vertices = table.shape[1]
-        # NumPy sorts small integers in linear time
-        table = table.astype(np.min_scalar_type(nodes))
-        row, column = np.repeat(table.ravel(), vertices), np.tile(table, vertices).ravel()
-        order = np.argsort(column, kind="stable")
-        order = order[np.argsort(row[order], kind="stable")]
-        row, column = row[order], column[order]
-        new = np.append(True, (np.diff(row) != 0) | (np.diff(column) != 0))
-        position = np.empty(order.size, dtype=np.int32)
-        position[order] = np.cumsum(new) - 1
-        blocks = np.flatnonzero(new)
-        row, column = (x[blocks].astype(np.int32) for x in (row, column))
-        count = np.bincount(row, minlength=nodes).astype(np.int32)
-        begin = np.cumsum(count, dtype=np.int32) - count
-        # the rows of a block are as far from each other as its row of blocks is long
-        first = (size - 1) * begin[row] + np.arange(row.size, dtype=np.int32)
-        # short rows of arrays are filled column by column, which is faster
-        rows = np.stack([first + i * count[row] for i in range(size)], axis=1)
-        columns = np.empty(rows.size, dtype=np.int32)
-        columns[rows] = size * column[:, None]
-        indices = np.stack([columns + i for i in range(size)], axis=1)
-        indptr = np.append(0, np.cumsum(np.repeat(size * count, size))).astype(np.int32)
-        return BlockPattern(indices.ravel(), indptr, position.reshape(*table.shape, vertices), rows)
+        ends, neighbours = neighbours_of_nodes(table, nodes)
+        return BlockPattern(table, ends, neighbours, *block_format(ends, neighbours, size))
 
-    def adder(self, cells: slice) -> sp.csc_matrix:
-        """Return the matrix that adds rows (m, v, b, v) of blocks of some cells to the data."""
-        rows = self.rows.take(self.position[cells], axis=0).swapaxes(2, 3).ravel()
-        columns = np.arange(rows.size + 1, dtype=np.int32)
-        return sp.csc_matrix((np.ones(rows.size), rows, columns), (self.rows.size, rows.size))
+    def add(self, data: Vector, cells: slice, matrices: Vector) -> None:
+        """Add the matrices of some cells to the data of the matrix."""
+        add_matrices(self.table[cells], self.ends, self.neighbours, matrices, data)
 
     def matrix(self, data: Vector) -> sp.csr_matrix:
-        """Return the matrix with these data, unknowns node by node."""
+        """Return the matrix with these data."""
         size = self.indptr.size - 1
-        return sp.csr_matrix((data.ravel(), self.indices, self.indptr), (size, size))
+        return sp.csr_matrix((data, self.indices, self.indptr), (size, size))
 
 
 @dataclass(frozen=True)

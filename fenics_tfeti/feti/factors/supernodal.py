@@ -9,8 +9,9 @@ from collections.abc import Hashable
 import numpy as np
 import scipy.sparse as sp
 
+from fenics_tfeti.compiled import pointer
 from fenics_tfeti.feti.factors.threads import one_thread
-from fenics_tfeti.typing import Array, Indices, Numbers, Operator, Vector
+from fenics_tfeti.typing import Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many
 _LANES = 8
@@ -22,10 +23,6 @@ _SIMILAR = 1.2
 
 class NotDefinite(Exception):
     """CHOLMOD has met a pivot that is not positive, or no memory."""
-
-
-def _pointer(array: Array) -> ctypes.c_void_p:
-    return ctypes.c_void_p(array.ctypes.data)
 
 
 class _Orderings:
@@ -90,9 +87,9 @@ class SupernodalFactor:
         limit = ctypes.c_double(_SIMILAR * entries)
         with one_thread():
             address = library.supernodal_factor(
-                size, *map(_pointer, arrays), width, methods, ctypes.byref(limit),
-                _pointer(ordering), _pointer(self._places), _pointer(figures),
-                ctypes.c_double(spring), _pointer(held), ctypes.byref(count),
+                size, *map(pointer, arrays), width, methods, ctypes.byref(limit),
+                pointer(ordering), pointer(self._places), pointer(figures),
+                ctypes.c_double(spring), pointer(held), ctypes.byref(count),
             )  # fmt: skip
         if not address:
             raise NotDefinite("a pivot is not positive")
@@ -121,8 +118,8 @@ class SupernodalFactor:
         result = np.empty_like(rows)
         work = np.empty(self._room * (1 if len(rows) == 1 else _LANES))
         self._library.supernodal_solve(
-            self._factor, places.size, _pointer(places), len(rows), _pointer(rows),
-            _pointer(result), _pointer(work),
+            self._factor, places.size, pointer(places), len(rows), pointer(rows),
+            pointer(result), pointer(work),
         )  # fmt: skip
         return result
 
