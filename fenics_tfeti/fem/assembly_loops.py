@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fenics_tfeti.compiled import Unavailable, compiled_library, pointer
-from fenics_tfeti.errors import ContactError
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 SOURCE = Path(__file__).with_name("assembly.c")
@@ -22,11 +22,11 @@ def _pointers(*arrays: Array) -> list[ctypes.c_void_p]:
 
 @cache
 def assembly_library() -> ctypes.CDLL:
-    """Return the compiled loops; `ContactError` on this rank without a compiler."""
+    """Return the compiled loops; `InputError` on this rank without a compiler."""
     try:
         return compiled_library(SOURCE)
     except (Unavailable, OSError) as error:
-        raise ContactError(
+        raise InputError(
             f"the assembly cannot be compiled: {error}. It needs the C compiler that compiles forms"
         ) from error
 

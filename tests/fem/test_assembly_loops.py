@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fenics_tfeti.errors import ContactError
+from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.assembly_loops import assembly_library
 from fenics_tfeti.fem.decomposition.parts import BlockPattern
 
@@ -45,7 +45,7 @@ def test_missing_compiler_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("CC", "/no/compiler")
     assembly_library.cache_clear()
     try:
-        with pytest.raises(ContactError, match="'/no/compiler' does not run"):
+        with pytest.raises(InputError, match="'/no/compiler' does not run"):
             assembly_library()
     finally:
         assembly_library.cache_clear()
