@@ -163,8 +163,6 @@ def overlapping_cells(
     on_master = frames[..., :-1]
     separate = (highest(on_slave) <= lowest(on_master)) | (highest(on_master) <= lowest(on_slave))
     overlapping = ~reduce(np.logical_or, separate.T)
-    if on_master.shape[1] == 3:
-        overlapping[overlapping] = ~_beyond_an_edge(on_slave[overlapping], on_master[overlapping])
     row, facet, frames = row[overlapping], facet[overlapping], frames[overlapping]
     pair, corners, area = _intersections(on_master[overlapping], on_slave[overlapping])
     cells = Cells(
@@ -178,21 +176,6 @@ def overlapping_cells(
         area,
     )
     return cells.select_pairs(cells.pair_area > _SLIVER * planes.area[cells.slave])
-
-
-def _beyond_an_edge(slave: Vector, master: Vector) -> Mask:
-    """Tell which slave facets are beyond an edge of the master's triangle: cheaper than a cut."""
-    outside_edge = np.zeros(len(slave), dtype=bool)
-    for corner in range(3):
-        start, end = master[:, corner], master[:, (corner + 1) % 3]
-        edge = end - start
-        outside = np.ones(len(slave), dtype=bool)
-        for point in np.moveaxis(slave, 1, 0):
-            # facets that face the slave are clockwise in its plane
-            side = edge[:, 0] * (point - start)[:, 1] - edge[:, 1] * (point - start)[:, 0]
-            outside &= side >= 0.0
-        outside_edge |= outside
-    return outside_edge
 
 
 def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vector]:
