@@ -123,18 +123,11 @@ class Cells:
         """Leave out pairs."""
         if kept.all():
             return self
-        new = np.cumsum(kept) - 1
-        chosen = kept[self.pair]
-        return Cells(
-            self.slave[kept],
-            self.master[kept],
-            self.on_slave[kept],
-            self.on_master[kept],
-            self.height[kept],
-            new[self.pair[chosen]],
-            self.corners[chosen],
-            self.area[chosen],
-        )
+        new, chosen = np.cumsum(kept) - 1, kept[self.pair]
+        of_pairs = (self.slave, self.master, self.on_slave, self.on_master, self.height)
+        of_cells = (new[self.pair], self.corners, self.area)
+        columns = [column[kept] for column in of_pairs] + [column[chosen] for column in of_cells]
+        return Cells(*columns)
 
 
 def covering_cells(
