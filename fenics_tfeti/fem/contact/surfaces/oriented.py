@@ -79,32 +79,19 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     t, dim = x.shape[1], x.shape[2] - 1
     if t == dim + 1 and weight is None:
         return np.repeat(facet_normals(x)[:, None, :] / t, t, axis=1)
-    if t == 4 and weight is None:
-        return _bilinear_normals(x)
     cell, degree = facet_type(dim, t)
-    xi, factors = quadrature(cell.name, 4 if cell.name == "triangle" else 5)
+    xi, factors = quadrature(cell.name, 2 * degree + 1)
     functions = shape_values(cell.name, 1, xi)[:, cell.around(1)]
     derivatives = shape_gradients(cell.name, degree, xi)[:, :, cell.around(degree)]
-    tangents = [np.einsum("qt,mtd->mqd", part, x) for part in derivatives]
+    tangents = np.tensordot(derivatives, x, (2, 1))
     if dim == 1:
-        normal = np.stack([tangents[0][..., 1], -tangents[0][..., 0]], axis=2)
+        normal = np.stack([tangents[0, ..., 1], -tangents[0, ..., 0]], axis=2)
     else:
         normal = cross(*tangents)
     if weight is not None:
-        normal *= (weight @ functions.T)[:, :, None]
-    return np.einsum("q,qv,mqd->mvd", factors, functions, normal)
-
-
-def _bilinear_normals(x: Vector) -> Vector:
-    """Return `corner_normals` (m, 4, 3) of quadrilaterals in closed form.
-
-    With x = a + b r + c s + d r s on [-1, 1]^2 the normal is b x c + b x d r + d x c s.
-    """
-    signs = np.array([[-1.0, 1.0, 1.0, -1.0], [-1.0, -1.0, 1.0, 1.0], [1.0, -1.0, 1.0, -1.0]])
-    b, c, d = np.einsum("kv,mvd->kmd", 0.25 * signs, x)
-    parts = np.array([cross(b, c), cross(b, d), cross(d, c)])
-    # the integrals of 1, r and s times the shape functions
-    return np.einsum("kv,kmd->mvd", np.array([np.ones(4), *(signs[:2] / 3.0)]), parts)
+        normal *= (functions @ weight.T)[:, :, None]
+    integrals: Vector = np.tensordot(factors[:, None] * functions, normal, (0, 0))
+    return integrals.transpose(1, 0, 2)
 
 
 def chord_heights(
