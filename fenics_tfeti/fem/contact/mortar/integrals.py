@@ -12,7 +12,6 @@ from fenics_tfeti.fem.contact.mortar.clipping import fan_triangles
 from fenics_tfeti.fem.contact.mortar.facets import (
     Facets,
     Planes,
-    by_component,
     corner_functions,
     reference_coordinates,
     shape_functions,
@@ -98,9 +97,9 @@ def _integrate_cells(
     t, w = slave.nodes.shape[1], master.nodes.shape[1]
     places, factors = _quadrature(cells, weight is None, max(slave.per_facet, master.per_facet))
     cell_pair = cells.pair
-    x = by_component([part @ places.T for part in np.moveaxis(cells.corners, 2, 0)])
+    x = places @ cells.corners
     on_slave, on_master = (
-        surface.in_facet(piece[cell_pair], reference_coordinates(_rows(corners, cell_pair), x))
+        surface.in_facet(piece[cell_pair], reference_coordinates(corners[cell_pair], x))
         for surface, piece, corners in (
             (slave, cells.slave, cells.on_slave),
             (master, cells.master, cells.on_master),
@@ -115,10 +114,11 @@ def _integrate_cells(
         factor = np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])
         weighted *= factor[:, :, None]
         ones = _sum(weighted.sum(axis=1), cell_facet, facet.size)
-    mass = trace = _sum(_products(weighted, slave_functions), cell_facet, facet.size)
+    rows = weighted.swapaxes(1, 2)
+    mass = trace = _sum(rows @ slave_functions, cell_facet, facet.size)
     if slave.per_facet > 1:
-        trace = _sum(_products(weighted, shape_functions(on_slave, t)), cell_facet, facet.size)
-    coupling = _sum(_products(weighted, master_functions), cell_pair, cells.slave.size)
+        trace = _sum(rows @ shape_functions(on_slave, t), cell_facet, facet.size)
+    coupling = _sum(rows @ master_functions, cell_pair, cells.slave.size)
     # relative to a plane's origin: rounding is that of the gap, not that of the coordinates
     origin = planes.origin[facet * slave.per_facet, None]
     offset = master.points.take(master.nodes[master_facet], axis=0) - origin[pair]
@@ -136,18 +136,6 @@ def _integrate_cells(
         master_facet,
         coupling,
     )
-
-
-def _rows(values: Vector, chosen: Numbers) -> Vector:
-    """Return rows of an array, in the memory as `by_component` has them."""
-    return values.T.take(chosen, axis=-1).T
-
-
-def _products(first: Vector, second: Vector) -> Vector:
-    """Return the sums over q of (c, q, v) and (c, q, w), faster than many small products."""
-    lefts, rights = np.moveaxis(first, 2, 0), np.moveaxis(second, 2, 0)
-    rows = [by_component([np.sum(left.T * right.T, axis=0) for right in rights]) for left in lefts]
-    return np.stack([row.T for row in rows]).transpose(2, 0, 1)
 
 
 def _quadrature(cells: Cells, unweighted: bool, pieces: int) -> tuple[Vector, Vector]:
