@@ -83,7 +83,8 @@ def corner_normals(x: Vector, weight: Vector | None = None) -> Vector:
     xi, factors = quadrature(cell.name, 2 * degree + 1)
     functions = shape_values(cell.name, 1, xi)[:, cell.around(1)]
     derivatives = shape_gradients(cell.name, degree, xi)[:, :, cell.around(degree)]
-    tangents = np.tensordot(derivatives, x, (2, 1))
+    # relative to a corner: normals along an axis have zeros, and rows fewer entries
+    tangents = np.tensordot(derivatives, x - x[:, :1], (2, 1))
     if dim == 1:
         normal = np.stack([tangents[0, ..., 1], -tangents[0, ..., 0]], axis=2)
     else:
