@@ -95,7 +95,7 @@ def describe_package(package: str) -> str:
 _USELESS = 1e-6
 # the same of a downdated one: another factor takes its place
 _ACCURATE = 1e-9
-# springs that make a tangent definite, at most: for each of them the factorisation starts again
+# new springs that make a tangent definite, at most: for each the factorisation starts again
 _SPRINGS = 8
 # more work than any solve has: rslab's solves stay on the thread that calls them
 _NEVER = 2**62
@@ -214,8 +214,9 @@ def downdated_cholesky(
 
     A (n, n) is as for `sparse_cholesky`, and U (n, k) has few columns. Where A has a few negative
     eigenvalues, springs are added that make it positive definite, in place, and taken off again by
-    further columns of U. `FactorizationError` if there are more of them, if A - UU' is singular, or
-    where CHOLMOD's solves are not compiled.
+    further columns of U; those of the last matrix with the same name are tried first.
+    `FactorizationError` if too many more are needed, if A - UU' is singular, or where CHOLMOD's
+    solves are not compiled.
     """
     try:
         library = supernodal_library()[0] if package == "cholmod" else None

@@ -11,6 +11,7 @@
 
    A vector of LANES numbers are as many rows for one right-hand side, and as many right-hand sides
    where there are several. */
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 #if __has_include(<suitesparse/cholmod.h>)
@@ -293,21 +294,50 @@ static cholmod_factor *analyse(cholmod_sparse *A, int *ordering, cholmod_common 
   return cholmod_analyze_p(A, ordering, NULL, 0, common);
 }
 
-/* The numeric factor. Where a pivot is not positive, the diagonal entry of its unknown is increased,
-   in the matrix itself, by `spring`, and the unknown is written to `held`: at most `*count` times,
-   which becomes their number. */
-static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *held, int *count,
-                     cholmod_common *common)
+/* The unknown that moves most in a displacement x of negative energy: -A^{-1}a and 1, where the pivot
+   of the column a, after those of the definite matrix A, is not positive. */
+static int weakest(const cholmod_factor *L, double *x)
 {
-  const int most = *count, *start = A->p, *column = A->i;
-  for (*count = 0; cholmod_factorize(A, L, common) && L->minor < L->n && *count < most;) {
-    int k = ((int *)L->Perm)[L->minor], q = start[k];
-    while (column[q] != k)
-      q++;
-    ((double *)A->x)[q] += spring;
-    held[(*count)++] = k;
+  const int *column = L->super, *start = L->pi, *row = L->s, *place = L->px, k = L->minor;
+  int most = k;
+  memset(x, 0, L->n * sizeof(double));
+  x[k] = 1.0;
+  for (int s = L->nsuper - 1; s >= 0; s--)
+    for (int c = LESS(column[s + 1], k) - 1; c >= column[s]; c--) {
+      int first = c - column[s], rows = start[s + 1] - start[s];
+      const double *l = (double *)L->x + place[s] + (size_t)first * rows;
+      for (int i = first + 1; i < rows; i++)
+        x[c] -= l[i] * x[row[start[s] + i]];
+      x[c] /= l[first];
+      most = fabs(x[c]) > fabs(x[most]) ? c : most;
+    }
+  return ((int *)L->Perm)[most];
+}
+
+/* Increase the diagonal entry of an unknown. */
+static void hold(cholmod_sparse *A, int unknown, double spring)
+{
+  int q = ((int *)A->p)[unknown];
+  while (((int *)A->i)[q] != unknown)
+    q++;
+  ((double *)A->x)[q] += spring;
+}
+
+/* The numeric factor. The diagonal entries of `*count` unknowns that are `held` are increased, in the
+   matrix itself, by `spring`, and at most `more` times that of another one where a pivot is not
+   positive; these are added to `held`. */
+static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *held, int *count,
+                     int more, cholmod_common *common)
+{
+  double *x = malloc(A->nrow * sizeof(double));
+  for (int i = 0; i < *count; i++)
+    hold(A, held[i], spring);
+  while (x && cholmod_factorize(A, L, common) && L->minor < L->n && more--) {
+    held[*count] = weakest(L, x);
+    hold(A, held[(*count)++], spring);
   }
-  return common->status >= CHOLMOD_OK && L->minor == L->n;
+  free(x);
+  return x && common->status >= CHOLMOD_OK && L->minor == L->n;
 }
 
 /* The factor of a symmetric matrix with both triangles and sorted rows, and the place (n,) of each
@@ -316,7 +346,7 @@ static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *h
    it is found, and `*most` becomes the number of entries. */
 Factor *supernodal_factor(int n, int *start, int *index, double *value, int width, int methods,
                           double *most, int *ordering, int *place, long *sizes, double spring,
-                          int *held, int *count)
+                          int *held, int *count, int more)
 {
   cholmod_sparse A = {.nrow = n, .ncol = n, .nzmax = start[n], .p = start, .i = index, .x = value,
                       .stype = 1, .itype = CHOLMOD_INT, .xtype = CHOLMOD_REAL,
@@ -336,7 +366,7 @@ Factor *supernodal_factor(int n, int *start, int *index, double *value, int widt
       F->L = analyse(&A, ordering, &common);
     *most = common.lnz;
   }
-  done = F && F->L && factorize(&A, F->L, spring, held, count, &common) &&
+  done = F && F->L && factorize(&A, F->L, spring, held, count, more, &common) &&
          pack_all(F, sizes, &common);
   for (int i = 0; done && i < n; i++)
     place[((int *)F->L->Perm)[i]] = i;

@@ -17,6 +17,8 @@ from fenics_tfeti.typing import Indices, Numbers, Operator, Vector
 _LANES = 8
 # numbers in orderings that are kept, at most: as many unknowns
 _MOST = 2**24
+# springs of the last matrix of a name that serve again, at most
+_HELD = 32
 # a kept ordering serves while it leads to so many times the entries at most
 _SIMILAR = 1.2
 
@@ -26,27 +28,28 @@ class NotDefinite(Exception):
 
 
 class _Orderings:
-    """The orderings of the last matrices, and their numbers of entries, by name.
+    """The orderings of the last matrices, their numbers of entries and their springs, by name.
 
     A similar matrix, such as that of the next Newton step, may have a few other entries.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[Hashable, tuple[Indices, float]] = {}
+        self._kept: dict[Hashable, tuple[Indices, float, Indices]] = {}
         self._numbers = 0
 
-    def find(self, name: Hashable, size: int) -> tuple[Indices, float]:
-        """Return a copy of an ordering and its entries; room and 0 if there is none."""
-        ordering, entries = self._kept.get(name, (np.empty(size, dtype=np.int32), 0.0))
-        return ordering.copy(), entries
+    def find(self, name: Hashable, size: int) -> tuple[Indices, float, Indices]:
+        """Return a copy of an ordering, its entries and springs; room and 0 if there is none."""
+        none = np.empty(size, dtype=np.int32), 0.0, np.zeros(0, dtype=np.int32)
+        ordering, entries, held = self._kept.get(name, none)
+        return ordering.copy(), entries, held if held.size <= _HELD else none[2]
 
-    def keep(self, name: Hashable, ordering: Indices, entries: float) -> None:
+    def keep(self, name: Hashable, ordering: Indices, entries: float, held: Indices) -> None:
         """Keep an ordering; all are forgotten when they are too many."""
         if self._numbers > _MOST:
             self._kept.clear()
             self._numbers = 0
         self._numbers += ordering.size if name not in self._kept else 0
-        self._kept[name] = ordering, entries
+        self._kept[name] = ordering, entries, held
 
 
 _orderings = _Orderings()
@@ -58,8 +61,10 @@ class SupernodalFactor:
     `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
     a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them. A
     matrix with a name takes the ordering of the last one of that name while it is as good.
-    `NotDefinite` if the matrix is not positive definite. A `spring` is added to its diagonal, in
-    place, where a pivot is not positive, at up to `most` unknowns, which are `held` then.
+    `NotDefinite` if the matrix is not positive definite. Where a pivot is not positive, a `spring`
+    is added to its diagonal, in place, at the unknown that moves most in a displacement of negative
+    energy, up to `most` times. The unknowns are `held` then, first those of the last matrix of the
+    name.
     """
 
     negative = 0
@@ -81,22 +86,24 @@ class SupernodalFactor:
         arrays = [x.astype(np.int32, copy=False) for x in (rows.indptr, rows.indices)]
         arrays.append(rows.data.astype(np.float64, copy=False))
         figures = np.zeros(2, dtype=np.int64)
-        held, count = np.empty(most, dtype=np.int32), ctypes.c_int(most)
-        key = None if name is None else (name, size, width, methods)
-        ordering, entries = _orderings.find(key, size)
+        key = None if name is None else (name, size, width, methods, most)
+        ordering, entries, held = _orderings.find(key, size)
+        count = ctypes.c_int(held.size)
+        held = np.append(held, np.empty(most, dtype=np.int32))
         limit = ctypes.c_double(_SIMILAR * entries)
         with one_thread():
             address = library.supernodal_factor(
                 size, *map(pointer, arrays), width, methods, ctypes.byref(limit),
                 pointer(ordering), pointer(self._places), pointer(figures),
-                ctypes.c_double(spring), pointer(held), ctypes.byref(count),
+                ctypes.c_double(spring), pointer(held), ctypes.byref(count), most,
             )  # fmt: skip
+        self.held: Indices = held[: count.value]
+        if key is not None:
+            is_new = limit.value != _SIMILAR * entries
+            _orderings.keep(key, ordering, limit.value if is_new else entries, self.held)
         if not address:
             raise NotDefinite("a pivot is not positive")
-        if key is not None and limit.value != _SIMILAR * entries:
-            _orderings.keep(key, ordering, limit.value)
         self._factor = ctypes.c_void_p(address)
-        self.held: Indices = held[: count.value]
         self.entries, longest = map(int, figures)
         self._room = size + longest
         weakref.finalize(self, library.supernodal_free, self._factor).atexit = False

@@ -127,9 +127,29 @@ def test_ordering_of_another_matrix_does_not_serve():
     assert SupernodalFactor(library, A, 3, name=name).entries == factor(A, 3).entries
 
 
+def test_springs_of_a_similar_matrix_serve_again():
+    library, size = supernodal_library()[0], 40
+    vectors = np.linalg.qr(np.random.default_rng(0).standard_normal((size, size)))[0]
+    values = np.append(np.full(6, -0.01), np.linspace(1.0, 10.0, size - 6))
+    A = sp.csr_matrix((vectors * values) @ vectors.T)
+
+    def held(most: int) -> list[int]:
+        matrix = A.copy()
+        factor = SupernodalFactor(library, matrix, name="springs", spring=10.0, most=most)
+        added = 10.0 * np.bincount(factor.held, minlength=size)
+        np.testing.assert_allclose((matrix - A).toarray(), np.diag(added), atol=1e-12)
+        return factor.held.tolist()
+
+    with pytest.raises(NotDefinite):
+        held(4)
+    springs = held(4)
+    assert 4 < len(springs) <= 8
+    assert held(4) == springs
+
+
 def test_orderings_are_forgotten_when_they_are_too_many(monkeypatch):
     monkeypatch.setattr(supernodal, "_MOST", 3)
     orderings = _Orderings()
     for name in "aabcd":
-        orderings.keep(name, np.arange(2), 1.0)
+        orderings.keep(name, np.arange(2), 1.0, np.zeros(0, np.int32))
     assert [orderings.find(name, 2)[1] for name in "abcd"] == [0.0, 0.0, 1.0, 1.0]
