@@ -134,7 +134,10 @@ def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
     if not exact or free.all() or K.diagonal().min() <= 0.0:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
-    return replace(stressed, stiffness=_projected(K, x, R, FIXING_NODES)[0])
+    forces = forces_of_motions(K, R)
+    if not forces.any():
+        return stressed
+    return replace(stressed, stiffness=_projected(K, R, forces, _fixed_unknowns(x, FIXING_NODES)))
 
 
 def _damped(chosen: Subdomain, K: sp.csr_matrix, size: float) -> Subdomain:
@@ -185,8 +188,10 @@ def _semidefinite(stiffness: sp.csr_matrix, coordinates: Vector, R: Vector) -> s
     subdomain buckles between them.
     """
     number, package = FIXING_NODES, choose_package("auto")
+    forces = forces_of_motions(stiffness, R)
     while True:
-        K, fixed = _projected(stiffness, coordinates, R, number)
+        fixed = _fixed_unknowns(coordinates, number)
+        K = _projected(stiffness, R, forces, fixed) if forces.any() else stiffness
         rest = np.setdiff1d(np.arange(len(R)), fixed)
         try:
             interior = None
@@ -199,23 +204,22 @@ def _semidefinite(stiffness: sp.csr_matrix, coordinates: Vector, R: Vector) -> s
             return _without_negative_energies(K, R, fixed, rest, interior)
 
 
-def _projected(
-    stiffness: sp.csr_matrix, coordinates: Vector, R: Vector, number: int
-) -> tuple[sp.csr_matrix, Numbers]:
-    """Return P'KP and the unknowns of the fixing nodes; K itself if K R is rounding."""
+def _fixed_unknowns(coordinates: Vector, number: int) -> Numbers:
+    """Return the unknowns of a number of fixing nodes, or of more."""
     nodes = fixing_nodes(coordinates, rigid_body_modes(coordinates), number)
-    fixed = unknowns_of_nodes(nodes, coordinates.shape[1])
-    forces = sp.csr_matrix(forces_of_motions(stiffness, R))
-    if not forces.nnz:
-        return stiffness, fixed
-    weights = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
-    rows = np.repeat(fixed, R.shape[1])
-    columns = np.tile(np.arange(R.shape[1]), fixed.size)
-    A = sp.csr_matrix((weights.ravel(), (rows, columns)), shape=R.shape)
-    energies = sp.csr_matrix(R.T @ forces)
-    low = A @ forces.T
-    projected = stiffness - low - low.T + A @ (0.5 * (energies + energies.T)) @ A.T
-    return projected.tocsr(), fixed
+    return unknowns_of_nodes(nodes, coordinates.shape[1])
+
+
+def _projected(K: sp.csr_matrix, R: Vector, forces: Vector, fixed: Numbers) -> sp.csr_matrix:
+    """Return P'KP = K + A G' + G A', with G = A R'KR / 2 - KR for the forces KR."""
+    A = R[fixed] @ np.linalg.inv(R[fixed].T @ R[fixed])
+    G, energies = -forces, R.T @ forces
+    G[fixed] += 0.25 * A @ (energies + energies.T)
+    columns = np.flatnonzero(G.any(axis=1))
+    indptr = columns.size * np.searchsorted(fixed, np.arange(len(R) + 1))
+    values = (A @ G[columns].T).ravel()
+    AG = sp.csr_matrix((values, np.tile(columns, fixed.size), indptr), shape=K.shape)
+    return K + (AG + AG.T)
 
 
 def _without_negative_energies(

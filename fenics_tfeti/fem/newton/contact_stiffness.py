@@ -191,13 +191,17 @@ def _relative_to_far_nodes(K: sp.csr_matrix, x: Vector) -> sp.csr_matrix:
     Sliding is that relative to the mean of the nodes far from the contact.
     """
     nodes, gdim = x.shape
-    T = np.tile(np.eye(gdim), (nodes, 1))
-    forces = K @ T
-    loaded = np.unique(K.nonzero()[0] // gdim)
-    distance = cKDTree(x[loaded]).query(x)[0]
+    row = np.repeat(np.arange(len(K.indptr) - 1), np.diff(K.indptr))[K.data != 0.0]
+    distance = cKDTree(x[np.unique(row // gdim)]).query(x)[0]
     far = np.flatnonzero(distance >= _FAR * distance.max())
+    forces = K @ np.tile(np.eye(gdim), (nodes, 1))
+    # P'KP = K + A G' + G A' with G = A T'KT / 2 - KT
+    G = -forces.reshape(nodes, gdim, gdim)
+    G[far] += 0.5 / far.size * forces.reshape(nodes, gdim, gdim).sum(axis=0)
+    G = G.reshape(-1, gdim)
+    columns = np.flatnonzero(G.any(axis=1))
     rows = (gdim * far[:, None] + np.arange(gdim)).ravel()
-    columns = np.tile(np.arange(gdim), far.size)
-    A = sp.csr_matrix((np.full(rows.size, 1.0 / far.size), (rows, columns)), shape=T.shape)
-    low = A @ sp.csr_matrix(forces).T
-    return K - low - low.T + A @ sp.csr_matrix(T.T @ forces) @ A.T
+    indptr = columns.size * np.searchsorted(rows, np.arange(len(G) + 1))
+    values = np.tile(G[columns].T / far.size, (far.size, 1)).ravel()
+    AG = sp.csr_matrix((values, np.tile(columns, rows.size), indptr), shape=K.shape)
+    return K + (AG + AG.T)
