@@ -135,7 +135,8 @@ class PreparedForms:
         pattern = part.pattern(block)
         data = np.zeros(pattern.indices.size)
         size = (part.table.shape[1] * block) ** 2
-        for batch in batches(part.cells.size, max(1, _ENTRIES // size)):
+        rows = np.flatnonzero(self.bilinear.integrated(part.cells))
+        for batch in (rows[some] for some in batches(rows.size, max(1, _ENTRIES // size))):
             pattern.add(data, batch, self.cell_matrices(part.cells[batch]))
         return pattern.matrix(data)
 

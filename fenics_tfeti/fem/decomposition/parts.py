@@ -36,7 +36,7 @@ class BlockPattern:
         ends, neighbours = neighbours_of_nodes(table, nodes)
         return BlockPattern(table, ends, neighbours, *block_format(ends, neighbours, size))
 
-    def add(self, data: Vector, cells: slice, matrices: Vector) -> None:
+    def add(self, data: Vector, cells: Numbers | slice, matrices: Vector) -> None:
         """Add the matrices of some cells to the data of the matrix."""
         add_matrices(self.table[cells], self.ends, self.neighbours, matrices, data)
 

@@ -50,6 +50,7 @@ class Coupling:
     positions: Numbers  # (h,): their positions in `numbers`
     owned: Mask  # (h,): which of them this rank owns
     comm: MPI.Intracomm
+    _last: list[GramInverse] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @cached_property
     def groups(self) -> list[Numbers]:
@@ -86,8 +87,10 @@ class Coupling:
             self.comm.Allreduce(MPI.IN_PLACE, coupled)
 
     def inverse(self, chosen: Mask) -> GramInverse:
-        """Return W_RR^+ of the chosen rows (w,)."""
-        return GramInverse.build(self.gram, chosen, self.groups)
+        """Return W_RR^+ of the chosen rows (w,): the last one, unless R has changed."""
+        if not (self._last and np.array_equal(self._last[0].chosen, chosen)):
+            self._last[:] = [GramInverse.build(self.gram, chosen, self.groups)]
+        return self._last[0]
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ the coupled ones this is B D^{-1}, of those W_RR^{-1} B D^{-1} (`constraints.cou
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
@@ -37,7 +37,7 @@ PreconditionerKind = Literal["auto", "lumped", "dirichlet", "none"]
 _INCOMPRESSIBLE = 25.0
 
 
-@dataclass
+@dataclass(frozen=True)
 class Preconditioner:
     """B_D S B_D' on the faces of a dual problem."""
 
@@ -46,7 +46,6 @@ class Preconditioner:
     constraints: Constraints
     scaling: DeluxeScaling | None = None  # of stiff modes, which `apply` has too
     direct: DirectFaces | None = None  # for faces that converge slowly; None where K is indefinite
-    _inverse: GramInverse | None = field(init=False, repr=False, default=None)
 
     def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
         """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
@@ -158,11 +157,9 @@ class Preconditioner:
         return kernel, moved, curvature[turning[first]][:, None]
 
     def _inverse_of(self, rows: Mask) -> GramInverse:
-        """Factor W_RR of rows (m,), unless R is the same as last. Collective."""
-        chosen = self.constraints.coupling.gather(rows.astype(float))[0] > 0.0
-        if self._inverse is None or not np.array_equal(self._inverse.chosen, chosen):
-            self._inverse = self.constraints.coupling.inverse(chosen)
-        return self._inverse
+        """Factor W_RR of rows (m,). Collective."""
+        coupling = self.constraints.coupling
+        return coupling.inverse(coupling.gather(rows.astype(float))[0] > 0.0)
 
 
 def _without_rounding(x: Vector) -> Vector:

@@ -123,6 +123,10 @@ def without_unloaded_groups(
     remains true. Collective.
     """
     comm, layout = constraints.layout.comm, constraints.layout
+    of_body = np.bincount(row_bodies.of_unknown[load != 0.0], minlength=row_bodies.bodies)
+    loaded = layout.space.sum_over_ranks(of_body.astype(float))
+    if loaded.all():
+        return multipliers
     with_force = constraints.friction.at_sites(multipliers).any(axis=1)
     group = row_bodies.groups(comm, multipliers[constraints.inequality] > 0.0, with_force)
     matrix, of_unknown = constraints.matrix, row_bodies.of_unknown
@@ -131,10 +135,9 @@ def without_unloaded_groups(
     row_group = group[of_unknown[matrix.indices[matrix.indptr[rows]]]]
     size = int(group.max(initial=-1)) + 1
     owned = rows < layout.owned
-    loaded = np.bincount(group[of_unknown[load != 0.0]], minlength=size)
-    work = np.bincount(row_group[owned], (c * multipliers)[rows[owned]], size)
-    sums = layout.space.sum_over_ranks(np.concatenate([loaded, work]))
-    unloaded = (sums[:size] == 0.0) & (sums[size:] >= 0.0)
+    works = np.bincount(row_group[owned], (c * multipliers)[rows[owned]], size)
+    work = layout.space.sum_over_ranks(works.astype(float))
+    unloaded = (np.bincount(group, loaded, size) == 0.0) & (work >= 0.0)
     part = np.zeros(multipliers.size)
     part[rows] = unloaded[row_group]
     return np.where(layout.sum(part) > 0.0, 0.0, multipliers)
