@@ -33,9 +33,8 @@ def corners(tagged):
     for d, tags in ((dim, tagged.cell_tags), (dim - 1, tagged.facet_tags)):
         own = tags.indices < mesh.topology.index_map(d).size_local
         rows = tags.indices[own]
-        nodes = cell_vertices(mesh)[rows]
-        if d < dim:
-            nodes = facet_corners(mesh, *cells_of_facets(mesh, rows))
+        on_facets = d < dim and cells_of_facets(mesh, rows)
+        nodes = facet_corners(mesh, *on_facets) if on_facets else cell_vertices(mesh)[rows]
         places = mesh.geometry.x[nodes]
         centres = np.round(places.mean(axis=1), 9)
         rows = concatenate_ranks(mesh.comm, np.column_stack([tags.values[own], centres]))
