@@ -58,6 +58,14 @@ def test_corner_normals_add_up_to_that_of_the_facet(cell):
     np.testing.assert_allclose(facet_normals(x), corner_normals(x).sum(axis=1), atol=1e-14)
 
 
+@pytest.mark.parametrize("cell", CELLS)
+def test_normals_along_an_axis_have_no_traces_of_rounding(cell):
+    """Which would be entries of the constraints, three in place of one for each node."""
+    x, _ = surface(cell, 1)
+    x[..., 0] = 0.1
+    assert not corner_normals(x)[..., 1:].any()
+
+
 def test_corner_normals_of_a_warped_quadrilateral_are_exact():
     corners = np.array([[0.0, 0, 0], [1.2, 0, 0.3], [1.0, 1.1, -0.2], [-0.1, 0.9, 0.4]])
     points, weights = np.polynomial.legendre.leggauss(4)
