@@ -28,7 +28,8 @@ class Unavailable(Exception):
 
 
 def pointer(array: Array) -> ctypes.c_void_p:
-    """Return the address of an array for functions in C."""
+    """Return the address of an array, in C's order, for functions in C."""
+    assert array.flags.c_contiguous
     return ctypes.c_void_p(array.ctypes.data)
 
 

@@ -47,6 +47,7 @@ def integrate(
     `_compat.CompiledForm.add_element_tensors`.
     """
     rows = np.ascontiguousarray(rows, dtype=np.intp)
+    coefficients, coordinates = map(np.ascontiguousarray, (coefficients, coordinates))
     sizes = [_size(x.size // len(tensors)) for x in (tensors, coefficients, coordinates)]
     assembly_library().assembly_integrate(
         ctypes.c_void_p(kernel), arguments, _size(rows.size), pointer(rows),
