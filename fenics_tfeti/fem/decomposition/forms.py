@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,7 +50,7 @@ class PreparedForm:
 
     name: str  # for messages
     form: ufl.Form
-    compiled: _compat.CompiledForm
+    compiled: list[_compat.CompiledForm]  # of which it is the sum
     ids: dict[str, list[int]]  # by kind of integral the tags that integrals name
     # by kind of integral, for each cell (m,) or facet of it (m, f): the position of its tag among
     # these, _EVERYWHERE for others that are integrated over, or _NOWHERE; in the shortest integers
@@ -59,7 +60,7 @@ class PreparedForm:
     def integrated(self, cells: Indices) -> Mask:
         """Tell which of some of this rank's cells the form has integrals over, or over facets."""
         mask = np.zeros(cells.size, dtype=bool)
-        for kind, tag, _ in self.compiled.integrals:
+        for kind, tag in _integrals(self.compiled):
             mask[self._entities(kind, tag, cells)[0]] = True
         return mask
 
@@ -74,17 +75,18 @@ class PreparedForm:
         """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
         n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
         tensors = np.zeros((cells.size, *(n,) * len(self.form.arguments())))
-        values = [_values_of_cells(w, cells) for w in self.compiled.coefficients]
-        coefficients = np.hstack([np.zeros((cells.size, 0)), *map(flat_rows, values)])
         domain = space.mesh
         coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
-        for kind, tag, kernel in self.compiled.integrals:
-            rows, *facet = self._entities(kind, tag, cells)
-            facets = facet[0].astype(np.int32) if facet else None
-            if rows.size:
-                self.compiled.add_element_tensors(
-                    kernel, tensors, rows, coefficients, coordinates, facets
-                )
+        for compiled in self.compiled:
+            values = [_values_of_cells(w, cells) for w in compiled.coefficients]
+            coefficients = np.hstack([np.zeros((cells.size, 0)), *map(flat_rows, values)])
+            for kind, tag, kernel in compiled.integrals:
+                rows, *facet = self._entities(kind, tag, cells)
+                facets = facet[0].astype(np.int32) if facet else None
+                if rows.size:
+                    compiled.add_element_tensors(
+                        kernel, tensors, rows, coefficients, coordinates, facets
+                    )
         return tensors
 
     def values(self) -> list[Vector]:
@@ -130,14 +132,34 @@ def prepare_form(
     for kind, tag in tags.items():
         present = tag[integrated[kind] & (tag != NO_TAG)]
         _check_used(domain, present, ids[kind], f"the {name} has {_MEASURES[kind]}")
-    compiled = _compat.CompiledForm(form, domain, compiler)
-    integrals = [(kind, tag) for kind, tag, _ in compiled.integrals]
-    numbers = {}
+    compiled = [_compat.CompiledForm(part, domain, compiler) for part in _split_by_rules(form)]
+    integrals, numbers = _integrals(compiled), {}
     for kind in dict(integrals):
         others = _EVERYWHERE if (kind, _EVERYWHERE) in integrals else _NOWHERE
         numbers[kind] = _numbered(tags[kind], ids[kind], others)
         numbers[kind][~integrated[kind]] = _NOWHERE
     return PreparedForm(name, form, compiled, ids, numbers, _is_translation_invariant(form))
+
+
+def _split_by_rules(form: ufl.Form) -> list[ufl.Form]:
+    """Split a form into forms with one quadrature rule for each kind of integral.
+
+    FFCx 0.5 takes values at the points of one rule for those of another in the same kernel.
+    """
+    rules, parts = dict[str, list[str]](), dict[int, list[ufl.Integral]]()
+    for integral in form.integrals():
+        of_kind = rules.setdefault(integral.integral_type(), [])
+        rule = repr(sorted(integral.metadata().items()))
+        if rule not in of_kind:
+            of_kind.append(rule)
+        parts.setdefault(of_kind.index(rule), []).append(integral)
+    return [ufl.Form(parts[number]) for number in sorted(parts)] if len(parts) > 1 else [form]
+
+
+def _integrals(compiled: Sequence[_compat.CompiledForm]) -> list[tuple[str, int]]:
+    """Return kind and tag of each integral of compiled forms, each once."""
+    integrals = (integral[:2] for form in compiled for integral in form.integrals)
+    return list(dict.fromkeys(integrals))
 
 
 def _numbered(tags: Numbers, ids: list[int], others: int) -> Numbers:

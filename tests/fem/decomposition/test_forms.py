@@ -63,8 +63,32 @@ def test_forms_that_differ_in_a_number_are_compiled_once(term, compiled_once):
     A.assemble()
     product = A * PETSc.Vec().createWithArray(y, comm=row.mesh.comm)
     assert np.einsum("ij,ijk,ik", of_cells, K, of_cells) == pytest.approx(product.array @ y)
-    kernels = [form.compiled.integrals[0][2] for form in (one, other)]
+    kernels = [form.compiled[0].integrals[0][2] for form in (one, other)]
     assert (kernels[0] == kernels[1]) is compiled_once
+
+
+@pytest.mark.parametrize("kind", ["residual", "tangent", "load", "load on tags"])
+def test_terms_with_other_quadrature_rules_add_up(kind):
+    """FFCx 0.5 takes values at points of one rule for others where it compiles them together."""
+    row = row_of_boxes()
+    w, v, u = fem.Function(row.V), ufl.TestFunction(row.V), ufl.TrialFunction(row.V)
+    w.interpolate(lambda x: 0.1 * np.sin(x[:2] + x[1]))
+    F = ufl.Identity(2) + ufl.grad(w)
+    C, factor = F.T * F, fem.Function(scalar_space(row.mesh, "DG", 0))
+    factor.x.array[:] = 1.0 + np.arange(factor.x.array.size)
+    densities = {3: factor * ufl.inner(C, C), 0: factor * (ufl.det(F) - 1) ** 2}
+    measure = {"load": row.ds, "load on tags": row.ds((BOTTOM, LEFT))}.get(kind, row.dx)
+    terms = [
+        ufl.derivative(density * measure(metadata={"quadrature_degree": degree}), w, v)
+        for degree, density in densities.items()
+    ]
+    if kind == "tangent":
+        # that of the load vanishes, and has a third rule
+        terms = [ufl.derivative(term, w, u) for term in (*terms, v[0] * row.dx)]
+    cells = np.arange(row.mesh.topology.index_map(2).size_local)
+    apart = sum(prepared(row, term).element_tensors(row.V, cells) for term in terms)
+    together = prepared(row, sum(terms[1:], terms[0])).element_tensors(row.V, cells)
+    np.testing.assert_allclose(together, apart, rtol=0, atol=1e-13 * np.abs(apart).max())
 
 
 @pytest.mark.parametrize(
