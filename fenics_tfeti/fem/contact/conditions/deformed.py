@@ -146,6 +146,7 @@ def _deformed_mortar(
         area=conditions.area,
         covered=conditions.covered,
         coverage=conditions.coverage,
+        shares=conditions.shares,
     )
     # a node that slid off the master is as far from it as its facets are large
     size = surface.size[pairing.on_surface]

@@ -53,14 +53,16 @@ class NodalFriction:
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
 
-    def result(self, solution: TornSolution, sites: Numbers, area: Vector) -> FrictionResult:
-        """Return what a solution is at these sites, with the areas (k,) of the nodes."""
+    def result(
+        self, solution: TornSolution, sites: Numbers, pairing: ContactPairing
+    ) -> FrictionResult:
+        """Return what a solution is at these sites, the conditions of a contact. Collective."""
         # on the slave forces are against the tangents
         force, slip = solution.tangential_force[sites], solution.slip[sites]
         slave_force = -np.einsum("kt,kta->ka", force, self.tangents)
         return FrictionResult(
             force=slave_force,
-            traction=slave_force / area[:, None],
+            traction=pairing.mean_traction(slave_force),
             bound=solution.slip_bound[sites],
             slip=np.einsum("kt,kta->ka", slip, self.tangents),
             sticking=solution.sticking[sites],

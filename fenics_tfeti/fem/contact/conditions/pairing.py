@@ -9,6 +9,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -133,6 +134,7 @@ class Conditions:
     # (k,): of mortar conditions the chord less the curvature of the facets [m]
     deviation: Vector | None = None
     distance: Vector | None = None  # (k,): of nodes what the tolerance limits [m]
+    shares: sp.csr_matrix | None = None  # see `mean_traction`
 
 
 @dataclass(frozen=True)
@@ -156,6 +158,7 @@ class ContactPairing:
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: Mask | None = None
     master_surface: Surface | None = None  # None for obstacles
+    shares: sp.csr_matrix | None = None  # of mortar conditions, see `mean_traction`
 
     @property
     def name(self) -> str:
@@ -196,6 +199,31 @@ class ContactPairing:
     def relative(self, values: Vector) -> Vector:
         """Return means (k, q) of values (n, q), the slave's less the master's. Collective."""
         return self.terms.means(self.surface.boundary.nodes.values_at(values, self.terms.nodes))
+
+    def mean_traction(self, force: Vector) -> Vector:
+        """Return the tractions (k, ...) that are reported for forces (k, ...). Collective."""
+        return mean_traction(self.surface.boundary.nodes, self.shares, force, self.area)
+
+
+def mean_traction(
+    nodes: NodeMap, shares: sp.csr_matrix | None, force: Vector, area: Vector
+) -> Vector:
+    """Return the tractions (k, ...) of forces (k, ...) and areas (k,) of conditions. Collective.
+
+    With the shares S (k, n) of all nodes in the conditions, the traction t_j = sum_i S_ji t_i is a
+    mean of those at nodes, t_i = sum_j S_ji f_j / sum_j S_ji a_j: that sum_j t_j a_j is the
+    resultant, and a uniform traction uniform. Without shares it is f_j / a_j.
+    """
+    columns = np.column_stack([force.reshape(area.size, -1), area])
+    if shares is not None:
+        # by entries in place of nodes, which may be those of other ranks
+        size = (area.size, shares.nnz)
+        S = sp.csr_matrix((shares.data, np.arange(shares.nnz), shares.indptr), shape=size)
+        columns = nodes.values_at(
+            nodes.sum_at_owners(shares.indices, S.T @ columns), shares.indices
+        )
+    traction = columns[:, :-1] / columns[:, -1:]
+    return (traction if shares is None else S @ traction).reshape(force.shape)
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
 import numpy as np
+import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
@@ -189,8 +191,14 @@ def _pairings(
     copies, count = slave.boundary.nodes, len(names)
     numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
     terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
+    ends = np.searchsorted(contact, np.arange(count + 1))
+    shares: list[sp.csr_matrix | None] = [None] * count
+    if found.shares is not None:
+        S, size = found.shares, (rows.size, boundary.nodes.total)
+        S = sp.csr_matrix((S.data, copies.values_at(numbers, S.indices), S.indptr), size)
+        shares = [S[first:end] for first, end in pairwise(ends)]
     columns = [
-        terms.split(np.searchsorted(contact, np.arange(count + 1))),
+        terms.split(ends),
         *(split(contact, values, count) for values in (normal, gap, found.area)),
         summaries,
         slave.separated(boundary),
@@ -198,6 +206,7 @@ def _pairings(
         split(contact, found.coverage, count),
         split(slave.contact, prescribed, count),
         pairs.master.separated(boundary),
+        shares,
     ]
     return list(map(ContactPairing, *columns))
 

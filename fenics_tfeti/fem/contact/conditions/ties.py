@@ -72,6 +72,7 @@ class TiedPairing:
     # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
     surface: Surface | None = None
     prescribed: Mask | None = None
+    shares: sp.csr_matrix | None = None  # see `mean_traction`
     preload: Preload | None = None  # of bolts
 
     @property
@@ -180,7 +181,11 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
         area=fullest.area,
         covered_area=fullest.covered_area,
     )
-    nodes = np.unique(np.concatenate([part.terms.slave for part in conditions]))
+    nodes, first = np.unique(
+        np.concatenate([part.terms.slave for part in conditions]), return_index=True
+    )
+    # nodes have the same shares in all components
+    shares = sp.vstack([part.shares for part in conditions], format="csr")[first]
     area = np.zeros(nodes.size)
     for part in conditions:
         area[np.searchsorted(nodes, part.terms.slave)] = part.area
@@ -189,7 +194,7 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
         for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     rows_of_all = ContactRows.concatenate(components)
-    return TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed)
+    return TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed, shares)
 
 
 def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Surface, Surface]:

@@ -17,10 +17,12 @@ from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
 from fenics_tfeti.fem.contact.mortar.matrices import (
     BARELY_COVERED,
-    HARDLY_COVERED,
+    BARELY_SUPPORTED,
+    HARDLY_SUPPORTED,
+    coverage_and_support,
     mortar_matrices,
     multiplier_shares,
-    node_areas,
+    node_sums,
 )
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
@@ -109,10 +111,13 @@ def _conditions(
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
     matrices = mortar_matrices(integrals, slave.facets, master.facets, dual)
     all_nodes = surface.boundary.nodes
-    areas = all_nodes.sum_at_owners(
-        slave.nodes, np.column_stack(node_areas(integrals, slave.facets))
-    )
-    nodes, S = _shared_multipliers(all_nodes, slave, integrals, areas, free, before)
+    sums = all_nodes.sum_at_owners(slave.nodes, node_sums(integrals, slave.facets))
+    coverage, support = coverage_and_support(all_nodes.values_at(sums, slave.nodes))
+    limits = np.full(all_nodes.owned, BARELY_SUPPORTED)
+    limits[before - all_nodes.first] = HARDLY_SUPPORTED
+    least = all_nodes.values_at(limits, slave.nodes)
+    corners = slave.nodes[slave.facets.corners[integrals.facet]]
+    nodes, S = _shares(all_nodes, corners, slave.nodes, support, least, free, slave.nodes)
     D, M = (S @ matrices.D).tocoo(), (S @ matrices.M).tocoo()
     terms = collect_terms(
         all_nodes,
@@ -122,13 +127,13 @@ def _conditions(
         np.repeat([True, False], [D.nnz, M.nnz]),
     )
     own = terms.slave - all_nodes.first
-    normal = slave.normal * matrices.area[:, None]
+    # at a rim the row's normal is that of the place that the row speaks of
+    normal = matrices.D @ slave.from_corners(slave.normal)
     integrated = S @ np.column_stack([normal, matrices.gap, matrices.area])
-    sums = all_nodes.sum_at_owners(nodes, integrated)[own]
-    normal, gap, area = np.split(sums, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    total, covered = areas[own].T
-    largest, corners = _largest_of_facets(slave, master, integrals)
-    chord, deviation, angle = all_nodes.sum_at_owners(corners, largest, np.maximum)[own].T
+    means = all_nodes.sum_at_owners(nodes, integrated)[own]
+    normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
+    largest = _largest_of_facets(slave, master, integrals)
+    chord, deviation, angle = all_nodes.sum_at_owners(corners.ravel(), largest, np.maximum)[own].T
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     return Conditions(
@@ -136,62 +141,67 @@ def _conditions(
         unit(normal),
         gap / area,
         area[:, 0],
-        covered / total,
+        coverage_and_support(sums[own])[0],
         chord,
         angle,
         facets,
         np.bincount(surface.facet_contact[facets], integrals.covered, len(surface.extent)),
         deviation,
+        shares=_pressure_shares(all_nodes, corners, slave.nodes, coverage, terms.slave),
     )
 
 
-def _shared_multipliers(
-    all_nodes: NodeMap,
-    slave: SurfaceFacets,
-    integrals: FacetIntegrals,
-    areas: Vector,
-    free: Mask,
-    before: Numbers,
-) -> tuple[Numbers, sp.csr_matrix]:
-    """Return the nodes (r,) with multipliers, and the shares (r, n) of the slave's. Collective.
+def _pressure_shares(
+    all_nodes: NodeMap, corners: Numbers, nodes: Numbers, coverage: Vector, of: Numbers
+) -> sp.csr_matrix:
+    """Return the shares (k, N) of all nodes in conditions of nodes (k,), by coverage. Collective.
 
-    The areas (owned, 2) are the whole and covered ones of the nodes that this rank owns. The nodes
-    of `free` (n,), alike on all ranks, must not have a multiplier; those of this rank that had one
-    `before` keep it longer.
+    They are for `mean_traction`; the other arguments are as in `_shares`.
     """
-    limits = np.full(len(areas), BARELY_COVERED)
-    limits[before - all_nodes.first] = HARDLY_COVERED
-    least = all_nodes.values_at(limits, slave.nodes)
-    full, covered = all_nodes.values_at(areas, slave.nodes).T
-    # of degree 2, nodes that are no vertices have no area
-    coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
-    corners = slave.facets.corners[integrals.facet]
-    j, k = (
-        corners[:, ends].ravel()
-        for ends in np.array(list(permutations(range(corners.shape[1]), 2))).T
-    )
-    excluded = free[j] | (coverage[j] < least[j])
+    least, free = np.full(nodes.size, BARELY_COVERED), np.zeros(nodes.size, dtype=bool)
+    taking, S = _shares(all_nodes, corners, nodes, coverage, least, free, of)
+    entries = S.T.tocsr()
+    columns = taking[entries.indices]
+    return sp.csr_matrix((entries.data, columns, entries.indptr), (of.size, all_nodes.total))
+
+
+def _shares(
+    all_nodes: NodeMap,
+    corners: Numbers,
+    nodes: Numbers,
+    support: Vector,
+    least: Vector,
+    free: Mask,
+    of: Numbers,
+) -> tuple[Numbers, sp.csr_matrix]:
+    """Return nodes (r,) and their `multiplier_shares` (r, q) in functions `of` nodes. Collective.
+
+    This rank's covered facets have the corners (c, v); the values (n,) are at the slave's nodes
+    around its facets, alike on all ranks. All nodes have global numbers.
+    """
+    ends = np.array(list(permutations(range(corners.shape[1]), 2)))
+    j, k = (np.searchsorted(nodes, corners[:, side].ravel()) for side in ends.T)
+    excluded = free[j] | (support[j] < least[j])
     j, k = j[excluded], k[excluded]
     # each pair with the values of its nodes, which are alike on all ranks
     columns = concatenate_buffers(
         all_nodes.comm,
-        *(column[rows] for column in (slave.nodes, coverage, least, free) for rows in (j, k)),
+        *(column[rows] for column in (nodes, support, least, free) for rows in (j, k)),
     )
-    ends, coverage, least, free = (np.concatenate(columns[k : k + 2]) for k in range(0, 8, 2))
+    at_ends, support, least, free = (np.concatenate(columns[k : k + 2]) for k in range(0, 8, 2))
     # on all ranks those without a multiplier and their neighbours
-    sharing, first, inverse = np.unique(ends, return_index=True, return_inverse=True)
+    sharing, first, inverse = np.unique(at_ends, return_index=True, return_inverse=True)
     pairs = inverse.reshape(2, -1).T
-    shares = multiplier_shares(coverage[first], least[first], free[first], pairs)
-    place = positions(sharing, slave.nodes)
+    given = multiplier_shares(support[first], least[first], free[first], pairs)
+    place = positions(sharing, of)
     alone, shared = np.flatnonzero(place < 0), np.flatnonzero(place >= 0)
-    part = shares[:, place[shared]].tocoo()
+    part = given[:, place[shared]].tocoo()
     taking, row = np.unique(part.row, return_inverse=True)
     row = np.concatenate([np.arange(alone.size), alone.size + row])
     column = np.concatenate([alone, shared[part.col]])
     values = np.concatenate([np.ones(alone.size), part.data])
-    shape = (alone.size + taking.size, slave.nodes.size)
-    nodes = np.concatenate([slave.nodes[alone], sharing[taking]])
-    return nodes, sp.csr_matrix((values, (row, column)), shape)
+    shares = sp.csr_matrix((values, (row, column)), (alone.size + taking.size, of.size))
+    return np.concatenate([of[alone], sharing[taking]]), shares
 
 
 def collect_terms(
@@ -225,8 +235,8 @@ def collect_terms(
 
 def _largest_of_facets(
     slave: SurfaceFacets, master: SurfaceFacets, integrals: FacetIntegrals
-) -> tuple[Vector, Numbers]:
-    """Return the chords, deviations and angles (p, 3) of facets, for the nodes (p,) around them."""
+) -> Vector:
+    """Return chords, deviations and angles (p, 3) at each corner of the covered facets."""
     facet, opposite_facet = integrals.facet[integrals.pair], integrals.master
     planes, opposite = (
         Planes.of(surface.points[surface.facets.corners]) for surface in (slave, master)
@@ -235,9 +245,7 @@ def _largest_of_facets(
     largest = np.zeros((len(slave.facets), 3))
     np.maximum.at(largest, facet, np.column_stack([_heights(master)[opposite_facet], angle]))
     largest[:, :2] += _heights(slave)
-    covered = slave.facets.corners[integrals.facet]
-    values = np.repeat(largest[integrals.facet], covered.shape[1], axis=0)
-    return values, slave.nodes[covered.ravel()]
+    return np.repeat(largest[integrals.facet], slave.facets.number_of_corners, axis=0)
 
 
 def _heights(surface: SurfaceFacets) -> Vector:

@@ -16,6 +16,7 @@ from fenics_tfeti.fem.contact.mortar.facets import (
     reference_coordinates,
     shape_functions,
 )
+from fenics_tfeti.fem.contact.mortar.rims import rim_functions
 from fenics_tfeti.fem.reference_cells import quadrature
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import batches
@@ -41,6 +42,8 @@ class FacetIntegrals:
     pair: Numbers  # (p,): row of each pair of a slave and a master facet
     master: Numbers  # (p,): master facet of each pair
     coupling: Vector  # (p, v, w): of N_i N^m_l
+    # (c, v, v): N_i at corner j of the smallest facet around the covered part, see `rim_functions`
+    rim: Vector
 
 
 def integrate(slave: Facets, master: Facets, weight: Vector | None = None) -> FacetIntegrals:
@@ -124,6 +127,8 @@ def _integrate_cells(
     offset = master.points.take(master.nodes[master_facet], axis=0) - origin[pair]
     gap = _sum(np.matmul(coupling, offset), pair, facet.size)
     gap -= np.matmul(trace, slave.points.take(slave.nodes[facet], axis=0) - origin)
+    corners = reference_coordinates(cells.on_slave[cell_pair], cells.corners)
+    corners = slave.in_facet(cells.slave[cell_pair], corners)
     return FacetIntegrals(
         facet,
         _sum(cells.pair_area, pair, facet.size),
@@ -135,6 +140,7 @@ def _integrate_cells(
         pair,
         master_facet,
         coupling,
+        rim_functions(corners, cell_facet, ones),
     )
 
 

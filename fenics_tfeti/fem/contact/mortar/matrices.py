@@ -1,15 +1,21 @@
 """Dual shape functions, and the mortar matrices D and M with the gaps.
 
 The Lagrange multipliers are linear combinations of dual functions psi_k, one for each node of the
-slave: on each facet psi_j = sum_i A_ji N_i with A = diag(int N_j) (int N_i N_j)^-1, integrals over
-the covered part alone. There int psi_j N_i = 0 for i != j, and the psi_j of a facet add up to 1.
+slave. On each facet they are dual to the shape functions of the smallest facet around the covered
+part: with its corners x_j and T_ij = N_i(x_j), psi_j = sum_i A_ji N_i, A = P (int N_i N_j)^-1,
 
-Where only a narrow strip or a small corner of a facet is covered, the functions of its nodes are
-fixed by next to nothing: their pressure is that of the rim, where it is singular, and their gap an
-extrapolation. A node that is barely covered therefore has no multiplier: its dual function is
-added, in equal shares, to those of the neighbours that are covered better. The functions still add
-up to 1, so that rigid motions, linear functions and resultants stay exact; D has entries beside its
-diagonal there.
+    int psi_j N_i = P_ji = d_j T_ij,  d = T^-1 int N > 0,
+
+integrals over the covered part alone. The psi_j of a facet add up to 1, and sum_j P_ji = int N_i:
+constants, linear functions and resultants are exact. Where all of a facet is covered T is the unit
+matrix, and int psi_j N_i = 0 for i != j. At the rim of the master the condition of node j speaks of
+x_j, which is on the rim or next to it: its force does not act beyond what is covered. D has entries
+beside its diagonal there.
+
+A function is well-defined by a narrow strip, too, but its force per area is that of the rim, where
+pressures are singular: pressures are reported as means with neighbours that are covered better.
+Only a node with a tiny support has no multiplier. Its dual function is added, in equal shares, to
+those of the neighbours that are supported better: the functions still add up to 1.
 
 For displacements of degree 2 the dual functions are the same, of degree 1 at the vertices, and D
 couples each of them with all nodes of its facets. Their combinations contain constants, not linear
@@ -31,13 +37,17 @@ from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# Coverage of a node: the integral of its shape function over the covered part, relative to that
-# over all of its facets. Below the first it has no multiplier where neighbours are covered better:
-# half is what the border of a master leaves of an edge that goes through a node. A node that had a
-# multiplier before keeps it down to the second, since multipliers that come and go with small
-# changes of the surfaces would alternate. Below the third it has none in any case: its force is
-# negligible.
-BARELY_COVERED, HARDLY_COVERED, SLIVER_COVERED = 0.4, 0.2, 1e-2
+# Support of a node: the integral of the square of its shape function over the covered part, over
+# that of the function, relative to this of whole facets. On a strip along an edge it is the part of
+# the facet's width that is covered. Below the first a node has no multiplier where neighbours are
+# supported better; one that had a multiplier before keeps it down to the second, since multipliers
+# that come and go with small changes of the surfaces would alternate. The third is the share of the
+# area around a node, below which it has none in any case: its force is negligible.
+BARELY_SUPPORTED, HARDLY_SUPPORTED, SLIVER_COVERED = 0.1, 0.05, 1e-3
+
+# Covered share of the area around a node below which its pressure is the mean of neighbours: half
+# is what the border of a master leaves of an edge that goes through a node.
+BARELY_COVERED = 0.4
 
 
 @dataclass(frozen=True)
@@ -48,7 +58,7 @@ class MortarMatrices:
     (sum_j D_kj u_j - sum_l M_kl u_l) / area_k.
     """
 
-    D: sp.csr_matrix  # (n, n): integrals of psi_k N^s_j [m^2 or m]; for degree 1 diagonal
+    D: sp.csr_matrix  # (n, n): integrals of psi_k N^s_j [m^2 or m]; see above
     M: sp.csr_matrix  # (n, m): integrals of psi_k N^m_l
     gap: Vector  # (n, gdim): integrals of psi_k times the vector from the slave to the master
     area: Vector  # (n,): integrals of psi_k, the sums of the rows of D and of M
@@ -61,7 +71,7 @@ def mortar_matrices(
     n, m = len(slave.points), len(master.points)
     corners = slave.corners[integrals.facet]
     psi, slave_products = (
-        _dual_functions(integrals, slave)
+        dual_functions(integrals, slave)
         if dual
         else (np.tile(np.eye(corners.shape[1]), (len(corners), 1, 1)), integrals.trace)
     )
@@ -73,24 +83,24 @@ def mortar_matrices(
     return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
 
 
-def multiplier_shares(coverage: Vector, least: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
+def multiplier_shares(support: Vector, least: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
     """Return the shares (n, n) of nodes in the dual functions of others.
 
     Column j has 1 at j if it keeps its function, or the shares of others, whose sum is 1; it is
-    empty where no node around has a multiplier. Nodes have the coverage (n,), the `least` one with
+    empty where no node around has a multiplier. Nodes have the support (n,), the `least` one with
     which they keep their function, and no multiplier where they are `free`; pairs (p, 2) are
     corners of one covered facet, in both orders.
     """
     j, k = pairs.T
-    better = coverage[k] > (1.0 + RELATIVE_ROUNDING) * coverage[j]
-    takes = ~free[k] & (free[j] | (coverage[j] < least[j]) & better)
-    size = (coverage.size, coverage.size)
+    better = support[k] > (1.0 + RELATIVE_ROUNDING) * support[j]
+    takes = ~free[k] & (free[j] | (support[j] < least[j]) & better)
+    size = (support.size, support.size)
     links = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
     links.data[:] = 1.0
     number = np.diff(links.indptr)
-    kept = (number == 0) & ~free & (coverage > SLIVER_COVERED)
+    kept = (number == 0) & ~free & (support > 0.0)
     shares = links @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
-    # what is given to nodes that give it on: always to nodes that are covered better
+    # what is given to nodes that give it on: always to nodes that are supported better
     while shares[number > 0].nnz:
         shares = shares @ shares
     shares = sp.diags(kept.astype(float)) @ shares
@@ -98,12 +108,32 @@ def multiplier_shares(coverage: Vector, least: Vector, free: Mask, pairs: Number
     return shares.tocsc()
 
 
-def node_areas(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
-    """Return the whole and the covered area (n,) of each slave node, without weight [m^2 or m]."""
+def node_sums(integrals: FacetIntegrals, slave: Facets) -> Vector:
+    """Return sums (n, 4) of facets for the `coverage_and_support` of nodes [m^2 or m].
+
+    They are the whole and the covered area of each node, without weight, the integrals of N_j^2,
+    relative to this on whole facets, and those of N_j.
+    """
     n, v = len(slave.points), slave.number_of_corners
-    area = np.repeat(_areas(slave) / v, v)
     covered = slave.corners[integrals.facet]
-    return _sums(slave.corners, area, n), _sums(covered, integrals.share, n)
+    # int N_j^2 / int N_j of a whole segment, triangle, parallelogram
+    whole = {2: 2 / 3, 3: 1 / 2, 4: 4 / 9}[v]
+    squares = np.einsum("cjj->cj", integrals.mass) / whole
+    columns = [_sums(slave.corners, np.repeat(_areas(slave) / v, v), n)]
+    columns += [_sums(covered, part, n) for part in (integrals.share, squares, integrals.ones)]
+    return np.column_stack(columns)
+
+
+def coverage_and_support(sums: Vector) -> tuple[Vector, Vector]:
+    """Return the covered share (n,) of nodes, and their support (n,), 0 for slivers.
+
+    The `node_sums` (n, 4) are those of all facets.
+    """
+    full, covered, squares, ones = sums.T
+    # of degree 2, nodes that are no vertices have no area
+    coverage = np.divide(covered, full, out=np.zeros_like(full), where=full > 0.0)
+    support = np.divide(squares, ones, out=np.zeros_like(ones), where=ones > 0.0)
+    return coverage, np.where(coverage > SLIVER_COVERED, support, 0.0)
 
 
 def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
@@ -111,21 +141,24 @@ def _sums(nodes: Numbers, values: Vector, n: int) -> Vector:
     return np.bincount(nodes.ravel(), values.ravel(), n).astype(np.float64, copy=False)
 
 
-def _dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
+def dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Vector]:
     """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
     # a narrow strip may cross the facet anywhere: the functions are the shape functions then
     narrow = integrals.covered <= 1e-4 * _areas(slave)[integrals.facet]
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
     ones = integrals.ones[~narrow]
+    # P: the integrals of the small facet's functions times their values in the corners of the facet
+    rim = integrals.rim[~narrow]
+    exact = np.linalg.solve(rim, ones[:, :, None]) * rim.swapaxes(1, 2)
     # scaled to a unit diagonal: a strip along an edge leaves the opposite node little
     root = np.sqrt(ones)
-    scaled = integrals.mass[~narrow] / (root[:, :, None] * root[:, None, :])
-    dual[~narrow] = root[:, :, None] * np.linalg.inv(scaled) / root[:, None, :]
+    inverse = np.linalg.inv(integrals.mass[~narrow] / (root[:, :, None] * root[:, None, :]))
+    dual[~narrow] = exact @ (inverse / (root[:, :, None] * root[:, None, :]))
     products = np.matmul(dual, integrals.trace)
     if integrals.trace.shape[2] == v:
-        # exactly diagonal
-        products[~narrow] = ones[:, :, None] * np.eye(v)
+        # without rounding: diagonal off the rim
+        products[~narrow] = exact
     return dual, products
 
 

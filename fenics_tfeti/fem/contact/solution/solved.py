@@ -8,7 +8,12 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, contact_rows, row_values
+from fenics_tfeti.fem.contact.conditions.pairing import (
+    SlaveValues,
+    contact_rows,
+    mean_traction,
+    row_values,
+)
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.solution.results import (
@@ -124,11 +129,11 @@ def _contact_result(
         opening[rows],
         pairing.normal,
         normal_force=force,
-        pressure=force / pairing.area,
+        pressure=pairing.mean_traction(force),
         active=force > 0.0,
         area=pairing.area,
         coverage=pairing.coverage,
-        friction=None if friction is None else friction.result(solution, sites, pairing.area),
+        friction=None if friction is None else friction.result(solution, sites, pairing),
         comm=conditions.boundary.nodes.comm,
     )
 
@@ -154,7 +159,7 @@ def _tied_result(
         conditions.dofs(tie.nodes),
         tie.coordinates,
         force,
-        force / tie.area[:, None],
+        mean_traction(tie.boundary.nodes, tie.shares, force, tie.area),
         tie.area,
         conditions.boundary.nodes.comm,
     )

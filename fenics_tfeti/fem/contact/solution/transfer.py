@@ -30,7 +30,8 @@ class SolvedContact:
 
     name: str
     surface: SurfaceFacets
-    # (n, 3): 1, the pressure [Pa] and (u_slave - u_master)'n [m]; 0 at nodes without condition
+    # (n, 3): 1, the normal force over the area [Pa] and (u_slave - u_master)'n [m]; 0 at nodes
+    # without condition
     values: Vector
 
 
@@ -43,7 +44,9 @@ def gather_solved(
         nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered()
         relative = pairing.relative(nodes.values(displacement))
         approach = np.sum(relative * pairing.normal, axis=1)
-        columns = np.column_stack([np.ones_like(approach), result.pressure, approach])
+        # not the pressure that is reported, which is a mean at the rim
+        force = result.normal_force / result.area
+        columns = np.column_stack([np.ones_like(approach), force, approach])
         conditioned, columns = (
             concatenate_ranks(nodes.comm, column) for column in (pairing.slave, columns)
         )

@@ -83,21 +83,55 @@ def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
         )
 
 
-def test_normal_of_a_condition_with_the_function_of_a_barely_covered_node():
-    """Of the facet from 0.5 to 0.75 m the master covers 0.1 m: 0.08 and 0.02 are of its ends."""
-    V, tags = scene(Blocks("triangle", 4, 3, width=0.6))
+def normals(x):
+    return np.array([x[0], np.ones_like(x[0])]) / np.hypot(x[0], 1.0)
 
-    def normals(x):
-        return np.array([x[0], np.ones_like(x[0])]) / np.hypot(x[0], 1.0)
 
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("covered", [0.1, 0.02])
+def test_conditions_at_the_rim(covered, degree):
+    """Of the facet from 0.5 to 0.75 m the master covers a part: that of node 0.75 ends there."""
+    V, tags = scene(Blocks("triangle", 4, 3, width=0.5 + covered, degree=degree))
     pair = ContactPair(tags, LOWER, UPPER, normal=normals)
     pairing = match_contacts(MeshBoundary.of(V), [pair])[0]
-    x = pairing.coordinates[:, 0].round(15)
-    expected = normals(x[None]).T
-    expected[x == 0.5] = normals(np.array([[0.5, 0.75]])) @ [0.125 + 0.08, 0.02]
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    assert sorted(x) == [0.0, 0.25, 0.5]
-    np.testing.assert_allclose(pairing.normal, expected, atol=1e-14)
+    order = np.argsort(pairing.coordinates[:, 0])
+    half, n = 0.5 * covered, normals(np.array([[0.0, 0.25, 0.5, 0.75]])).T
+    at_rim = n[2] + (n[3] - n[2]) * covered / 0.25
+    if covered == 0.1:
+        areas, expected = [0.125, 0.25, 0.125 + half, half], [*n[:3], at_rim]
+    else:
+        # a support below 0.1: the node's function belongs to its neighbour
+        areas, expected = [0.125, 0.25, 0.125 + covered], [*n[:2], (0.125 + half) * n[2]]
+        expected[2] = expected[2] + half * at_rim
+    np.testing.assert_allclose(pairing.area[order], areas, rtol=1e-12)
+    expected = np.array(expected) / np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(pairing.normal[order], expected, atol=1e-14)
+    # the place on the slave that each condition speaks of
+    places = [0.0, 0.25, 0.5, 0.5 + covered]
+    if covered < 0.1:
+        places[2:] = [0.5 + half * covered / (0.125 + covered)]
+    terms, x = pairing.terms, V.tabulate_dof_coordinates()[:, 0]
+    weights = np.where(terms.on_slave, terms.weights, 0.0)
+    found = np.bincount(terms.row, weights * x[terms.nodes]) / terms.scale
+    np.testing.assert_allclose(found[order], places, atol=1e-13)
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_pressures_of_barely_covered_nodes_are_means(cell):
+    """The resultant and a uniform pressure stay; a node covered by less than 0.4 adds no value."""
+    V, tags = scene(Blocks(cell, 4, 3, width=0.53))
+    pairing = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
+    np.testing.assert_allclose(pairing.mean_traction(pairing.area), 1.0, rtol=1e-13)
+    force = np.random.default_rng(0).random((pairing.area.size, 2))
+    pressure = pairing.mean_traction(force)
+    np.testing.assert_allclose(pairing.area @ pressure, force.sum(axis=0), rtol=1e-12)
+    few = pairing.coverage < 0.4
+    assert few.any() and not few.all()
+    own = force / pairing.area[:, None]
+    assert own[few].max() > 3.0 * pressure.max()
+    inner = (pairing.coordinates[:, : V.mesh.geometry.dim - 1] < 0.2).all(axis=1)
+    assert inner.any()
+    np.testing.assert_allclose(pressure[inner], own[inner], rtol=1e-13)
 
 
 def test_linear_weight_of_the_measure():

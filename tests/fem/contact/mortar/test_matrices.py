@@ -7,15 +7,17 @@ import pytest
 import scipy.sparse as sp
 from facet_grids import chain, grid
 
-from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import integrate
 from fenics_tfeti.fem.contact.mortar.matrices import (
-    BARELY_COVERED,
-    HARDLY_COVERED,
+    BARELY_SUPPORTED,
+    HARDLY_SUPPORTED,
     MortarMatrices,
+    coverage_and_support,
+    dual_functions,
     mortar_matrices,
     multiplier_shares,
-    node_areas,
+    node_sums,
 )
 
 
@@ -30,15 +32,17 @@ def assemble(slave, master, weight=None):
 
 
 def shares_of(slave, integrals):
-    whole, covered = node_areas(integrals, slave)
+    _, support = coverage_and_support(node_sums(integrals, slave))
     corners = slave.corners[integrals.facet]
     pairs = [corners[:, [j, k]] for j, k in permutations(range(corners.shape[1]), 2)]
-    return multiplier_shares(
-        covered / whole,
-        np.full(whole.size, BARELY_COVERED),
-        np.zeros(whole.size, dtype=bool),
-        np.concatenate(pairs),
-    )
+    return shares_by(support, np.concatenate(pairs))
+
+
+def shares_by(support, pairs, free=None):
+    support = np.asarray(support)
+    least = np.full(support.size, BARELY_SUPPORTED)
+    free = np.zeros(support.size, dtype=bool) if free is None else free
+    return multiplier_shares(support, least, free, pairs)
 
 
 def check_identities(slave, master, matrices, rows, flat=True):
@@ -106,37 +110,30 @@ def test_slivers(corners, exponent):
     # all of the common area has a multiplier, and no coefficient is out of proportion
     assert np.isclose(matrices.area.sum(), integrals.covered.sum(), rtol=1e-13)
     assert (abs(matrices.M).max(axis=1).toarray().ravel() <= 5.0 * matrices.area).all()
-    whole, covered = node_areas(integrals, slave)
-    assert (covered[rows] > 1e-2 * whole[rows]).all()
+    coverage, support = coverage_and_support(node_sums(integrals, slave))
+    assert (coverage[rows] > 1e-3).all() and (support[rows] > 0.1).all()
 
 
-def test_barely_covered_nodes_share_out_their_functions():
-    """Node 0 gives to 1, which is covered by less than 0.4 and gives all of it to 2 and 3."""
-    coverage = np.array([0.1, 0.3, 0.9, 1.0, 0.39])
+def test_barely_supported_nodes_share_out_their_functions():
+    """Node 0 gives to 1, which has a support below 0.1 and gives all of it to 2 and 3."""
     edges = np.array([[0, 1], [1, 2], [1, 3], [2, 3], [3, 4]])
     pairs = np.concatenate([edges, edges[:, ::-1]])
-    shares = multiplier_shares(
-        coverage, np.full(5, BARELY_COVERED), np.zeros(5, dtype=bool), pairs
-    ).toarray()
+    shares = shares_by([0.02, 0.08, 0.9, 1.0, 0.09], pairs).toarray()
     assert shares[:, 0].tolist() == shares[:, 1].tolist() == [0.0, 0.0, 0.5, 0.5, 0.0]
     assert shares[:, 2:4].tolist() == np.eye(5)[:, 2:4].tolist()
     assert shares[:, 4].tolist() == [0.0, 0.0, 0.0, 1.0, 0.0]
 
 
-def test_barely_covered_nodes_without_better_neighbours_keep_their_functions():
-    """Of a small foot inside of one facet; those of the same coverage, but for rounding, too."""
-    coverage = np.array([0.1, np.nextafter(0.1, 1.0), 0.05])
+def test_barely_supported_nodes_without_better_neighbours_keep_their_functions():
+    """Of a small foot inside of one facet; those of the same support, but for rounding, too."""
     pairs = np.array(list(permutations(range(3), 2)))
-    shares = multiplier_shares(
-        coverage, np.full(3, BARELY_COVERED), np.zeros(3, dtype=bool), pairs
-    ).toarray()
+    shares = shares_by([0.05, np.nextafter(0.05, 1.0), 0.03], pairs).toarray()
     assert shares.tolist() == [[1.0, 0.0, 0.5], [0.0, 1.0, 0.5], [0.0, 0.0, 0.0]]
 
 
 def test_nodes_that_must_not_have_a_multiplier_give_theirs_to_all_others():
-    coverage, free = np.array([1.0, 0.5, 0.2]), np.array([True, False, False])
     pairs = np.array(list(permutations(range(3), 2)))
-    shares = multiplier_shares(coverage, np.full(3, BARELY_COVERED), free, pairs).toarray()
+    shares = shares_by([1.0, 0.5, 0.02], pairs, np.array([True, False, False])).toarray()
     assert shares.tolist() == [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [0.0, 0.0, 0.0]]
 
 
@@ -180,9 +177,142 @@ def test_many_facets(corners):
 
 
 def test_nodes_that_had_a_multiplier_keep_it_longer():
-    coverage, free = np.array([0.3, 0.9]), np.zeros(2, dtype=bool)
+    support, free = np.array([0.07, 0.9]), np.zeros(2, dtype=bool)
     pairs = np.array([[0, 1], [1, 0]])
-    for least, kept in ((HARDLY_COVERED, 1.0), (BARELY_COVERED, 0.0)):
-        limits = np.array([least, BARELY_COVERED])
-        shares = multiplier_shares(coverage, limits, free, pairs).toarray()
+    for least, kept in ((HARDLY_SUPPORTED, 1.0), (BARELY_SUPPORTED, 0.0)):
+        limits = np.array([least, BARELY_SUPPORTED])
+        shares = multiplier_shares(support, limits, free, pairs).toarray()
         assert shares.tolist() == [[kept, 0.0], [1.0 - kept, 1.0]]
+
+
+@pytest.mark.parametrize("share", [0.2, 0.3, 0.8, 1.0])
+@pytest.mark.parametrize("corners", [2, 3, 4])
+def test_support_on_strips_and_at_corners(corners, share):
+    """It is the covered part of the facets' width, at a corner the product of both."""
+    n = 4
+    border = (2.0 + share) / n
+    if corners == 2:
+        slave, master = chain(np.linspace(0, 1, n + 1)), chain([0.0, border], up=False)
+    else:
+        slave = grid((n, n), corners=corners)
+        master = grid((1, 1), (0.0, 0.0), (border, 1.0), up=False, corners=corners)
+    _, support = coverage_and_support(node_sums(integrate(slave, master), slave))
+    x = slave.points[:, 0]
+    np.testing.assert_allclose(support[x < 0.49], 1.0, rtol=1e-12)
+    assert (support[x > 0.8] == 0.0).all()
+    # of triangles up to 4/3 of it, and 1 where all of them are covered
+    beyond = support[np.isclose(x, 0.75)] / share
+    np.testing.assert_array_less(1.0 - 1e-12, beyond)
+    np.testing.assert_array_less(beyond, 4 / 3 if corners == 3 else 1.0 + 1e-12)
+    if corners == 4:
+        foot = grid((1, 1), (0.0, 0.0), (border, border), up=False, corners=4)
+        _, support = coverage_and_support(node_sums(integrate(slave, foot), slave))
+        corner = np.isclose(slave.points[:, :2], 0.75).all(axis=1)
+        # of 0.2, less than a thousandth of the area around the node is a sliver
+        expected = share**2 if share > 0.2 else 0.0
+        assert support[corner] == pytest.approx(expected, rel=1e-12)
+
+
+# -- dual functions on partly covered facets -------------------------------------------------------
+
+FACETS = {
+    "segment": np.array([[0.0, 0.0], [1.0, 0.0]]),
+    "triangle": np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.3, 0.9, 0.0]]),
+    "parallelogram": np.array(
+        [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.2, 0.9, 0.0], [0.2, 0.8, 0.0]]
+    ),
+    "quadrilateral": np.array(
+        [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.8, 0.9, 0.0], [0.1, 0.7, 0.0]]
+    ),
+}
+SWEEP = np.linspace(0.03, 1.3, 23)
+KINDS = ["along", "oblique", "against", "pieces", "hole"]
+
+
+def half_plane(angle, border, low=-2.0):
+    """Return the corners of a strip from `low` to a border along a direction, in the plane."""
+    along, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), 1.0])
+    across[1] = np.cos(angle)
+    return [low * along - 3 * across, border * along - 3 * across] + [
+        border * along + 3 * across,
+        low * along + 3 * across,
+    ]
+
+
+def masters(kind, border):
+    """Return quadrilaterals over a part of the facets: strips, two pieces, or all but a hole."""
+    if kind == "hole":
+        low, high = 0.3 - 0.2 * border, 0.3 + 0.2 * border
+        lines = [-2.0, low, high, 3.0]
+        return [
+            [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+            for i, (x0, x1) in enumerate(zip(lines[:-1], lines[1:], strict=True))
+            for j, (y0, y1) in enumerate(zip(lines[:-1], lines[1:], strict=True))
+            if (i, j) != (1, 1)
+        ]
+    angle = {"along": 0.0, "oblique": 0.7, "against": 2.6, "pieces": 0.4}[kind]
+    if kind == "against":
+        return [half_plane(angle, border - 0.9)]
+    if kind == "pieces":
+        return [half_plane(angle, 0.4 * border), half_plane(angle, 2.0, 0.5 + 0.4 * border)]
+    return [half_plane(angle, border)]
+
+
+def partly_covered(shape, kind):
+    """Return facets beside each other, each with its own part covered, and the master."""
+    x = FACETS[shape]
+    v, d = x.shape
+    points, master = [], []
+    for number, border in enumerate(SWEEP):
+        shift = 20.0 * number * np.eye(d)[0]
+        points.append(x + shift)
+        if d == 2:
+            pieces = [(-2.0, border)]
+            if kind == "pieces":
+                pieces = [(-2.0, 0.4 * border), (0.5 + 0.4 * border, 2.0)]
+            master += [np.array([[a, 0.0], [b, 0.0]]) + shift for a, b in pieces]
+        else:
+            flat = [np.pad(np.array(q), ((0, 0), (0, 1))) for q in masters(kind, border)]
+            master += [q[::-1] + shift for q in flat]
+    points, nodes = np.concatenate(points), np.arange(v * SWEEP.size).reshape(-1, v)
+    if d == 2:
+        nodes = nodes[:, ::-1]
+    corners = np.concatenate(master)
+    return Facets(points, nodes), Facets(corners, np.arange(len(corners)).reshape(len(master), -1))
+
+
+@pytest.mark.parametrize(
+    ("shape", "kind"),
+    [
+        ("segment", "along"),
+        ("segment", "pieces"),
+        *((shape, kind) for shape in list(FACETS)[1:] for kind in KINDS),
+    ],
+)
+def test_dual_functions_of_partly_covered_facets(shape, kind):
+    """With the corners x_j of the smallest facet: int psi_j N_i = d_j N_i(x_j), d > 0."""
+    slave, master = partly_covered(shape, kind)
+    integrals = integrate(slave, master)
+    psi, products = dual_functions(integrals, slave)
+    v = slave.number_of_corners
+    regular = integrals.covered > 1e-4 * Planes.of(slave.coordinates()).area[integrals.facet]
+    assert regular.sum() >= 15
+    partly = regular & (integrals.covered < 0.999 * integrals.covered.max())
+    assert partly.sum() >= 8
+    T = integrals.rim
+    d = np.linalg.solve(T, integrals.ones[..., None])[..., 0]
+    size = integrals.ones.sum(axis=1)
+    assert (d[regular] > 0.0).all()
+    np.testing.assert_allclose(T.sum(axis=1), 1.0, rtol=1e-13)
+    # by the functions themselves, with the mass matrix
+    exact = d[:, :, None] * T.swapaxes(1, 2)
+    found = psi @ integrals.mass
+    assert np.abs((found - exact) / size[:, None, None])[regular].max() < 1e-11
+    np.testing.assert_allclose(products[regular], exact[regular], atol=1e-13)
+    assert np.abs(psi.sum(axis=1) - 1.0)[regular].max() < 1e-9
+    assert np.abs(products.sum(axis=1) - integrals.ones)[regular].max() < 1e-13
+    # the corners of the small facet are in the facet
+    assert T[regular].min() > -1e-13
+    whole = np.abs(integrals.covered - Planes.of(slave.coordinates()).area[integrals.facet]) < 1e-12
+    assert (T[whole] == np.eye(v)).all()
+    assert all(np.count_nonzero(p) == v for p in products[whole])
