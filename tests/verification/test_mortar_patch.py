@@ -121,18 +121,18 @@ def test_largest_pressure_with_either_side_as_slave(cell, grid, offset):
             problem.report.contacts[0].pairing["covered_area"]
         )
     largest = [problem.results[0].pressure.max() for problem in (table, foot)]
-    assert 1.0 / 1.5 < largest[0] / largest[1] < 1.5
-    assert table.results[0].coverage.min() >= 0.4 and np.allclose(foot.results[0].coverage, 1.0)
+    assert 0.7 < largest[0] / largest[1] < 1.3
+    np.testing.assert_allclose(foot.results[0].coverage, 1.0)
 
 
 def mean_around_corner(contact, low, area):
-    """Return the largest mean pressure over an area around a corner of the foot."""
+    """Return the largest mean pressure over an area around a corner of the foot, by forces."""
     x, means = contact.coordinates[:, :2] - low, []
     for corner in WIDTH * np.array([[0, 0], [0, 1], [1, 0], [1, 1]]):
         distance = np.abs(x - corner)
         order = np.lexsort((distance.sum(axis=1), distance.max(axis=1).round(9)))
-        areas, pressure = contact.area[order], contact.pressure[order]
-        means.append(np.interp(area, np.cumsum(areas), np.cumsum(areas * pressure)) / area)
+        areas, forces = contact.area[order], contact.normal_force[order]
+        means.append(np.interp(area, np.cumsum(areas), np.cumsum(forces)) / area)
     return max(means)
 
 
@@ -141,14 +141,16 @@ def mean_around_corner(contact, low, area):
 )
 def test_pressure_at_sharp_corners_is_the_same_over_equal_areas(cell, grid):
     """It is singular there: the finer surface as slave shows up to 2.6 times as much at a node."""
-    offset = 0.03
     table, foot = (
-        foot_on_table(cell, grid, offset, slave, roles="given").results[0]
+        mean_around_corner(
+            foot_on_table(cell, grid, 0.03, slave, roles="given").results[0],
+            LOW + 0.03,
+            # a facet of the table
+            grid[0] ** -2.0,
+        )
         for slave in (TABLE, FOOT)
     )
-    at = table.pressure.argmax()
-    mean = mean_around_corner(foot, LOW + offset, table.area[at])
-    assert table.pressure[at] == pytest.approx(mean, rel=0.1)
+    assert table == pytest.approx(foot, rel=0.06)
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,7 @@ class FrictionResult:
     force : (k, gdim) array
         Friction force on the slave, in the units of the normal force [N].
     traction : (k, gdim) array
-        The force over the area that belongs to the node [Pa].
+        The force over the area that belongs to the node [Pa], a mean where the pressure is one.
     bound : (k,) array
         Slip bound: the force at which the node slips [N].
     slip : (k, gdim) array
@@ -159,7 +159,9 @@ class ContactResult(_SurfaceResult):
         2 pi r, [N/rad] if they have r.
     pressure : (k,) array
         Normal force over the area that belongs to the node, which has the problem's
-        `measure_weight` [Pa].
+        `measure_weight` [Pa]. With mortar conditions, nodes that are covered by less than 0.4 are
+        taken together with their neighbours that are covered better, and have the mean of these'
+        pressures: the force at the rim of a contact is over next to no area.
     active : (k,) bool array
         Whether the normal force is positive.
     area : (k,) array
@@ -168,9 +170,9 @@ class ContactResult(_SurfaceResult):
         the sum of ``pressure * area`` is the contact force.
     coverage : (k,) array
         The share of the slave's area around the node that the master covers, up to 1: less at the
-        rim of the contact. With mortar conditions, nodes that are covered by less than 0.4 have no
-        condition of their own, and are not among the nodes: what is covered around them belongs to
-        their neighbours that are covered better, and has the mean of these' pressures.
+        rim of the contact. With mortar conditions, nodes around which next to nothing is covered
+        have no condition of their own, and are not among the nodes: what is covered belongs to
+        their neighbours that are covered better.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
     on_master : bool
@@ -240,7 +242,8 @@ class TiedResult(_SurfaceResult):
         Force of the master on the slave [N]; zero for components that are prescribed. Not unique
         where the conditions of several ties or contacts depend on each other.
     traction : (k, gdim) array
-        The force over the area that belongs to the node [Pa].
+        The force over the area that belongs to the node [Pa]; at the rim of mortar conditions a
+        mean, as the pressure of contacts.
     area : (k,) array
         The area around the node that the master covers [m^2; m in 2D]. NaN for LinearRows, and of
         surfaces of degree 2 that match at nodes that are no vertices.

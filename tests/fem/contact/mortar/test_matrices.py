@@ -218,12 +218,8 @@ def test_support_on_strips_and_at_corners(corners, share):
 FACETS = {
     "segment": np.array([[0.0, 0.0], [1.0, 0.0]]),
     "triangle": np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.3, 0.9, 0.0]]),
-    "parallelogram": np.array(
-        [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.2, 0.9, 0.0], [0.2, 0.8, 0.0]]
-    ),
-    "quadrilateral": np.array(
-        [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.8, 0.9, 0.0], [0.1, 0.7, 0.0]]
-    ),
+    "parallelogram": np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.2, 0.9, 0.0], [0.2, 0.8, 0.0]]),
+    "quadrilateral": np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [0.8, 0.9, 0.0], [0.1, 0.7, 0.0]]),
 }
 SWEEP = np.linspace(0.03, 1.3, 23)
 KINDS = ["along", "oblique", "against", "pieces", "hole"]
