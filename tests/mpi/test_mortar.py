@@ -106,12 +106,14 @@ def test_tied_blocks():
     np.testing.assert_allclose(force, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_barely_covered_nodes():
-    """Facets at nodes beside the foot belong to several ranks."""
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
+def test_rim(cell):
+    """Facets at nodes beside the foot belong to several ranks; pressures are means over nodes."""
     here, alone = (
-        by_place(foot_on_table("hexahedron", (8, 6), 0.03, TABLE, comm))
-        for comm in (COMM, MPI.COMM_SELF)
+        by_place(foot_on_table(cell, (8, 6), 0.03, TABLE, comm)) for comm in (COMM, MPI.COMM_SELF)
     )
-    for name in ("coordinates", "area", "coverage", "pressure"):
+    assert alone["coverage"].min() < 0.1
+    for name in ("coordinates", "area", "normal_force", "coverage", "pressure"):
         scale = np.abs(alone[name]).max()
         np.testing.assert_allclose(here[name], alone[name], rtol=0.0, atol=1e-6 * scale)

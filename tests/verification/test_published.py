@@ -70,3 +70,9 @@ def test_pmd_press_fit():
     """The hub's radius is smaller than the formula's by the interference."""
     values = run("pmd_press_fit")
     assert values["pressure"] == pytest.approx(values["PUBLISHED"], rel=3e-3)
+
+
+def test_espreso_hertz():
+    """With the cube as the slave, as there; what is published has seven digits."""
+    values = run("espreso_hertz")
+    assert values["computed"] == pytest.approx(values["PUBLISHED"], rel=1e-5)

@@ -214,7 +214,7 @@ def mean_traction(
     mean of those at nodes, t_i = sum_j S_ji f_j / sum_j S_ji a_j: that sum_j t_j a_j is the
     resultant, and a uniform traction uniform. Without shares it is f_j / a_j.
     """
-    columns = np.column_stack([force.reshape(area.size, -1), area])
+    columns = np.column_stack([force, area])
     if shares is not None:
         # by entries in place of nodes, which may be those of other ranks
         size = (area.size, shares.nnz)
