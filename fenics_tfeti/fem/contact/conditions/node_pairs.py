@@ -44,6 +44,7 @@ _REMEDY = "mesh the two surfaces alike, tag only where they face each other, or 
 def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mask:
     """Tell of which contacts every facet of the slave has one of the master with the same nodes.
 
+    Each of these nodes has one partner.
     Nodes are the same if they are opposite each other, along the normal of either surface or their
     mean, up to the rounding of coordinates in single precision. Gaps do not matter, as long as the
     distance along the slave's surface, relative to the size of its facets, is in the tolerance. The
@@ -62,8 +63,12 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
     facets = np.sort(np.concatenate(corners), axis=1)
     number = np.unique(facets, axis=0, return_inverse=True)[1].ravel()
     matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
+    # two bodies of the slave beside each other have nodes opposite the same one of the master
+    nodes, partner = slave.boundary.nodes, master.nodes[partner]
+    number_of_slaves = nodes.sum_at_owners(partner, near.astype(np.int64))
+    is_only = nodes.values_at(number_of_slaves, partner) == 1
     match = np.ones(len(slave.extent), dtype=bool)
-    match[slave.contact[~near]] = match[slave.facet_contact[~matching]] = False
+    match[slave.contact[~(near & is_only)]] = match[slave.facet_contact[~matching]] = False
     slave.comm.Allreduce(MPI.IN_PLACE, match, MPI.LAND)
     return match
 
