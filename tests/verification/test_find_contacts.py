@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import sys
 import time
 from dataclasses import replace
@@ -12,6 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from random_assemblies import random_assembly
 
 import ufl
 from dolfinx import fem
@@ -20,10 +22,13 @@ from fenics_tfeti import (
     ContactPair,
     ContactProblem,
     Coulomb,
+    InputError,
     Plane,
     RigidObstacle,
     find_contacts,
 )
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import boxes, displacement_space, read_msh
 from fenics_tfeti.models import isotropic, symmetry_plane
 
@@ -179,3 +184,30 @@ def test_a_thousand_bricks():
     above = [weights[course_of > course].sum() for course in range(forces.size)]
     assert np.allclose(forces, above, rtol=1e-6, atol=1e-6 * weights.sum())
     assert searched < 0.1 * total
+
+
+@pytest.mark.heavy
+@pytest.mark.filterwarnings("ignore")
+def test_random_assemblies():
+    """Pairs are those of boxes one after the other, of the faces between them and no others."""
+    refused = 0
+    for seed in range(144):
+        assembly = random_assembly(seed, MPI.COMM_WORLD)
+        mesh, joints = assembly.bodies.mesh, assembly.joints
+        pairs = find_contacts(mesh, assembly.bodies.cell_tags)
+        numbers = [[int(n) - 1 for n in re.findall(r"cell tag (\d+)", p.name)] for p in pairs]
+        assert sorted(map(sorted, numbers)) == [[k, k + 1] for k in range(joints.size)], seed
+        try:
+            pairings = match_contacts(MeshBoundary.of(displacement_space(mesh)), pairs)
+        except InputError:
+            refused += 1
+            continue
+        for pairing, bodies in zip(pairings, numbers, strict=True):
+            joint = min(bodies)
+            for surface in pairing.surfaces:
+                off = surface.corners[:, :, assembly.axis] - joints[joint]
+                assert np.abs(off).max() <= assembly.height + 1e-12, seed
+            assert np.abs(pairing.gap).max() <= assembly.height + 1e-12, seed
+            area = mesh.comm.allreduce(pairing.area.sum())
+            assert area == pytest.approx(assembly.overlaps[joint], rel=0.01), seed
+    assert refused <= 2

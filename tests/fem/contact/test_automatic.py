@@ -163,6 +163,16 @@ def test_bodies_that_overlap():
     assert len(slave) == len(master) == 8
 
 
+@pytest.mark.parametrize("overlap", [1e-6, 0.01])
+def test_lap_joint_with_interference(overlap):
+    """The ends of two bars are back to back, nearer than they are high: they are no partners."""
+    bars = [Box((0, 0), (4, 1), (16, 1)), Box((-3.5, 1 - overlap), (0.5, 2 - overlap), (16, 1))]
+    mesh, (pair,) = joint(*bars)
+    slave, master = middles(mesh, pair)
+    assert slave == [(0.125, 1.0), (0.375, 1.0)]
+    assert master == [(0.125, 1 - overlap), (0.375, 1 - overlap)]
+
+
 def test_key_in_its_way():
     """Three faces of one pair of bodies: those that meet at an edge are in two contacts."""
 

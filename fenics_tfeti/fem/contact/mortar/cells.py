@@ -185,27 +185,33 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells
-    middle, gap = cells.centre
-    suspects = np.flatnonzero(gap < -size)
+    suspects = np.flatnonzero(cells.centre[1] < -size)
     if not suspects.size:
         return cells
-    facet, facets = cells.slave[suspects], master.facets
-    in_plane = np.einsum("pa,pad->pd", middle[suspects], planes.axes[facet, :-1])
+    facets = master.facets
     of_points = facets.contact_of(facets.pieces[cells.master[suspects], 0])
     of_facets = facets.contact_of(facets.nodes[:, 0])
     kept = np.ones(cells.slave.size, dtype=bool)
-    kept[suspects] = inside(planes.origin[facet] + in_plane, of_points, facets, of_facets)
+    kept[suspects] = are_nearest(cells, suspects, planes, of_points, facets, of_facets)
     return cells.select_pairs(kept)
 
 
-def inside(x: Vector, of_points: Numbers, facets: Facets, of_facets: Numbers) -> Mask:
-    """Tell which points (k, gdim) are inside the facets with their number."""
-    within = np.zeros(len(x), dtype=bool)
-    for number in np.unique(of_points):
-        chosen = of_points == number
-        surface = FacetedSurface.of(Facets(facets.points, facets.nodes[of_facets == number]))
-        within[chosen] = surface.distance(x[chosen]).signed < 0.0
-    return within
+def are_nearest(
+    cells: Cells, pairs: Numbers, planes: Planes, of_pairs: Numbers, facets: Facets, of: Numbers
+) -> Mask:
+    """Tell for which pairs (k,), facets behind the slave's, the slave has come in through them.
+
+    The slave is inside the facets (f,) whose number `of` is that of the pair, and not farther from
+    the pair's than they are inclined: other facets are nearer where the two are back to back.
+    """
+    middle, gap = (of_cells[pairs] for of_cells in cells.centre)
+    facet, depth = cells.slave[pairs], np.zeros(pairs.size)
+    x = planes.origin[facet] + np.einsum("pa,pad->pd", middle, planes.axes[facet, :-1])
+    for number in np.unique(of_pairs):
+        chosen = of_pairs == number
+        surface = FacetedSurface.of(Facets(facets.points, facets.nodes[of == number]))
+        depth[chosen] = -surface.distance(x[chosen]).signed
+    return (depth > 0.0) & (-gap <= REACH * depth)
 
 
 def nearest_layers(cells: Cells, planes: Planes, master: MasterTree) -> Cells:

@@ -13,7 +13,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.fem.contact.mortar.cells import (
     Cells,
     MasterTree,
-    inside,
+    are_nearest,
     nearest_layers,
     overlapping_cells,
 )
@@ -161,14 +161,12 @@ class OppositeFacets:
 def _is_near(cells: Cells, planes: Planes, others: Facets, body: Numbers, reach: Vector) -> Mask:
     """Tell which pairs (p,) of facets are within reach and overlap by more than rounding.
 
-    A facet behind one is near only if its body penetrates there.
+    A facet behind one is near only if the body of that has come in through it.
     """
-    middle, gap = cells.centre
+    gap = cells.centre[1]
     near: Mask = cells.pair_area > SAME_PLACE * planes.area[cells.slave]
     near &= np.abs(gap) <= reach[cells.slave]
     behind = np.flatnonzero(near & (gap < -RELATIVE_ROUNDING * planes.diameter[cells.slave]))
-    facet, master = cells.slave[behind], body[cells.master[behind]]
-    in_plane = np.einsum("pa,pad->pd", middle[behind], planes.axes[facet, :-1])
-    points = planes.origin[facet] + in_plane
-    near[behind] = inside(points, master, others, body)
+    of_pairs = body[cells.master[behind]]
+    near[behind] = are_nearest(cells, behind, planes, of_pairs, others, body)
     return near
