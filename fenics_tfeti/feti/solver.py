@@ -240,7 +240,7 @@ class TornSolver:
         feasible = self._balance(bound)
         radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
         size = coarse_space.coarse_load_size(load)
-        return ContactData(load, c, e, size, feasible, bound, radius)
+        return ContactData(load, c, e, size, feasible, bound, friction.own_bound, radius)
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None
@@ -263,12 +263,13 @@ class TornSolver:
 
     def _guessed_state(self, state: Iterate | None, guess: ContactGuess) -> Iterate:
         """Return a state with the guessed forces and active set of the inequality rows."""
-        constraints, own = self.setup.constraints, self.setup.constraints.contacts.own_rows
-        kept, rows = own >= 0, constraints.inequality
+        constraints, contacts = self.setup.constraints, self.setup.constraints.contacts
+        kept, rows = contacts.own_rows >= 0, constraints.inequality
+        own, share = contacts.own_rows[kept], contacts.share[kept]
         force, gap = np.zeros(constraints.size), np.zeros(constraints.size)
-        force[own[kept]] = np.maximum(guess.normal_force[kept], 0.0)
+        np.add.at(force, own, np.maximum(guess.normal_force[kept], 0.0))
         # beyond any gap is far enough; infinite ones are no numbers to be summed with zeros
-        gap[own[kept]] = np.minimum(guess.gap[kept], np.finfo(float).max)
+        np.add.at(gap, own, share * np.minimum(guess.gap[kept], np.finfo(float).max))
         force, gap = (constraints.layout.sum(x)[rows] for x in (force, gap))
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
         # a guessed force closes the gap against the stiffness of the surface
@@ -370,21 +371,21 @@ class TornSolver:
         multipliers = outcome.candidate.multipliers
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
-        normal_force = self.setup.constraints.contacts.forces(multipliers)
-        friction = self.setup.constraints.friction
+        constraints = self.setup.constraints
+        normal_force, friction = constraints.contacts.forces(multipliers), constraints.friction
         # where nothing slips the last bounds may be those of other normal forces
-        pressing = friction.pressing(multipliers, self.setup.constraints.layout)
-        bound = friction.scale * self.data.bound.at(pressing)
+        pressing = friction.given(friction.pressing(multipliers, constraints.layout))
+        bound = friction.given(friction.scale) * self.data.own_bound.at(pressing)
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
             normal_force,
             normal_force > 0.0,
-            self.setup.constraints.tied.forces(multipliers),
-            tangential_forces(self.setup.constraints, multipliers),
+            constraints.tied.forces(multipliers),
+            tangential_forces(constraints, self.data, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),
             friction.given(recovered.sticking.astype(float)) > 0.0,
-            friction.given(bound),
+            bound,
             multipliers,
             report,
         )

@@ -194,6 +194,9 @@ class ContactRows:
     slaves : (rows,) integer array, optional
         How many of the row's terms, from the first on, are those of the slave's nodes; by default
         1.
+    area : (rows,) array, optional
+        Area of the slave's surface that belongs to the row, by default D; NaN stands for D. Rows
+        that are the same condition share its force by these areas.
 
     Examples
     --------
@@ -216,13 +219,16 @@ class ContactRows:
     gap: Vector
     contact: Numbers
     slaves: Numbers | None = None
+    area: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
         if self.slaves is None:
             _set(self, "slaves", np.ones(np.shape(self.gap), dtype=np.int64))
+        if self.area is None:
+            _set(self, "area", np.full(np.shape(self.gap), np.nan))
         _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64, slaves=np.int64)
-        _convert(self, coefficients=np.float64, gap=np.float64)
+        _convert(self, coefficients=np.float64, gap=np.float64, area=np.float64)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
@@ -289,6 +295,7 @@ class ContactRows:
             np.concatenate([part.gap for part in parts]),
             np.concatenate([part.contact for part in parts]),
             np.concatenate([np.asarray(part.slaves) for part in parts]),
+            np.concatenate([np.asarray(part.area) for part in parts]),
         )
 
     def chosen(self, rows: Numbers) -> ContactRows:
@@ -303,6 +310,7 @@ class ContactRows:
             self.gap[rows],
             self.contact[rows],
             np.asarray(self.slaves)[rows],
+            np.asarray(self.area)[rows],
         )
 
     def with_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:

@@ -398,6 +398,11 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     shapes: dict[str, Shape] = {"nodes": (None,), "offsets": (k + 1,)}
     _check_fields(label, rows, np.int64, contact=(k,), slaves=(k,), **shapes)
     _check_range(f"{what}.contact", rows.contact, np.iinfo(np.int64).max)
+    _check_fields(label, rows, np.float64, area=(k,))
+    if np.any(np.asarray(rows.area) < 0.0) or np.any(np.isinf(np.asarray(rows.area))):
+        raise InputError(
+            f"{what}.area: an area is finite and at least 0; NaN stands for the length"
+        )
     _check_offsets(what, rows, names)
     _check_range(f"{what}.nodes", rows.nodes, _LARGEST_NODE)
     _check_distinct_nodes(what, rows, names)

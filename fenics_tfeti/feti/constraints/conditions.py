@@ -19,11 +19,18 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, common_scale
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
-from fenics_tfeti.feti.constraints.redundancy import ContactConditions, Redundancy, find_redundant
+from fenics_tfeti.feti.constraints.redundancy import Conditions, Redundancy, Terms, find_redundant
 from fenics_tfeti.feti.constraints.scaling import RIGID, unit_scale
+from fenics_tfeti.feti.local.rigid_body_modes import possible_kernel
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.feti.tolerances import GIVEN, SAME_VALUE, rounding
-from fenics_tfeti.parallel import Directory, first_of_rank, raise_collectively
+from fenics_tfeti.parallel import (
+    Directory,
+    concatenate_ranks,
+    first_of_rank,
+    raise_collectively,
+    warn_on_first_rank,
+)
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
@@ -66,15 +73,20 @@ class ConditionRows:
     """The contact, tied and tangential rows that a rank gives, and those with entries on it."""
 
     entries: Entries  # on this rank
-    given: RowData  # contact rows, tied rows, and tangential rows of the contact rows of this rank
-    tolerance: Vector  # (conditions of this rank,): rounding of their right-hand sides, scaled
+    # contact rows, tied rows, and tangential rows of the contact rows of this rank, with the data
+    # of the rows of B that they have
+    given: RowData
+    share: Vector  # (conditions of this rank,): part of the row's force, with a sign
+    sites: Numbers  # (contact rows of this rank with friction,): the sites that they have
+    leads: Mask  # (contact rows of this rank with friction,): whether they are the first there
+    tolerance: Vector  # (conditions of this rank,): rounding of their right-hand side, scaled
     local: RowData  # rows with entries on this rank, once for each of their nodes there
     infinite_gaps: int  # contact rows with an infinite gap, over all ranks
     redundancy: Redundancy
 
     @property
-    def kept(self) -> Mask:
-        """Which of this rank's conditions became rows of B."""
+    def has_row(self) -> Mask:
+        """Which of this rank's conditions have a row of B."""
         return self.given.number >= 0
 
 
@@ -103,10 +115,11 @@ def condition_rows(
     """Return contact and tied rows with B D^{-1} B' = 1, numbered from `first`. Collective.
 
     Raises an InputError on all ranks if a row names a node of no subdomain, prescribed
-    displacements violate it, or two rows exclude each other.
+    displacements violate it, two rows exclude each other, or the normal force of a frictional one
+    is that of a tied row. Warns where it is that of a support.
     """
     comm = system.comm
-    contacts, tied, tangential = _all_conditions(system)
+    contacts, tied, tangential, normal = _all_conditions(system)
     terms = _terms(system, contacts, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
     gap = contacts.gap / contacts.length
@@ -118,24 +131,60 @@ def condition_rows(
     free, flexibility = _free_rows(terms, gap.size)
     finite = np.isfinite(gap)
     infinite_gaps = int(comm.allreduce(int(np.count_nonzero(~finite))))
-    # there is no friction where there is nothing to touch
-    finite[tangential.mask] &= finite[np.repeat(system.friction.row, system.gdim - 1)]
+    # there is no friction where nothing can touch
+    slip = tangential.mask
+    finite[slip] = ~(~free & (gap > tolerance) | ~finite)[normal[slip]]
     with raise_collectively(comm):
-        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~tangential.mask)
-        check_slides(contacts, tangential, gap, tolerance, free)
+        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~slip)
     kept = finite & free
     scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), tangential, kept)
+    number, area = first_of_rank(comm, gap.size)[0], np.asarray(contacts.area)
     redundancy = find_redundant(
-        _conditions(terms, kept, scale, gap, tolerance, tied, tangential.mask), directory, comm
+        Conditions(
+            number + np.arange(gap.size),
+            scale,
+            scale * gap,
+            scale * tolerance,
+            tied,
+            np.where(np.isnan(area), contacts.length, area),
+            tangential.site,
+            tangential.direction,
+            np.where(slip, number + normal, -1),
+        ),
+        _free_terms(system, terms, kept, number, directory),
+        system.gdim,
+        directory,
+        comm,
     )
-    kept &= ~redundancy.dropped
+    slips = np.where(finite, redundancy.left / scale, 0.0)
+    with raise_collectively(comm):
+        check_slides(contacts, tangential, slips, tolerance, free & redundancy.has_row)
+    kept &= redundancy.has_row
+    _check_pressed(system, kept, free)
 
-    number = np.full(gap.size, -1, dtype=np.int64)
-    number[kept] = first + first_of_rank(comm, int(kept.sum()))[0] + np.arange(kept.sum())
-    rhs = np.where(kept, scale * gap, 0.0)
-    given = RowData(number, contacts.contact, scale, rhs, tied, tangential)
-    entries, local = _distribute(given, terms, directory, copies)
-    return ConditionRows(entries, given, scale * tolerance, local, infinite_gaps, redundancy)
+    own = kept & redundancy.own
+    rows = np.full(gap.size, -1, dtype=np.int64)
+    rows[own] = first + first_of_rank(comm, int(own.sum()))[0] + np.arange(own.sum())
+    rhs = np.where(own, scale * gap, 0.0)
+    own_rows = RowData(rows, contacts.contact, scale, rhs, tied, tangential)
+    entries, local = _distribute(own_rows, terms, directory, copies)
+    given = RowData.from_columns([redundancy.of_rows(comm, x) for x in own_rows.columns])
+    # that of the first contact at a site has the lowest number
+    sites, own_sites = (
+        x.site[slip].reshape(-1, system.gdim - 1).min(axis=1)
+        for x in (given.tangential, tangential)
+    )
+    return ConditionRows(
+        entries,
+        given,
+        redundancy.share,
+        sites,
+        sites == own_sites,
+        scale * tolerance,
+        local,
+        infinite_gaps,
+        redundancy,
+    )
 
 
 def _free_rows(terms: _Terms, rows: int) -> tuple[Mask, Vector]:
@@ -162,8 +211,11 @@ def _distribute(
     return _spread_over_copies(copies, nodes, local.number, coefficients), local
 
 
-def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential]:
-    """Return contact, tied and tangential rows, and which are which. Collective."""
+def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential, Numbers]:
+    """Return contact, tied and tangential rows, which are which, and where the contact rows are.
+
+    The contact rows of tangential ones are positions among this rank's, -1 of others. Collective.
+    """
     friction, directions = system.friction, system.gdim - 1
     tangential = friction.tangential_rows(system.contacts)
     contacts = ContactRows.concatenate([system.contacts, system.tied, tangential])
@@ -177,8 +229,8 @@ def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential]:
         Tangential(
             np.append(none, np.repeat(sites, directions)),
             np.append(none, np.tile(np.arange(directions), friction.size)),
-            np.append(none.astype(float), np.repeat(friction.bound, directions)),
         ),
+        np.append(none, np.repeat(friction.row, directions)),
     )
 
 
@@ -203,31 +255,49 @@ def _terms(
     )
 
 
-def _conditions(
-    terms: _Terms,
-    kept: Mask,
-    scale: Vector,
-    gap: Vector,
-    tolerance: Vector,
-    tied: Mask,
-    tangential: Mask,
-) -> ContactConditions:
-    """Return the kept rows in the coordinates D^{-1/2} of the nodes, where they have length 1.
+def _free_terms(
+    system: TornSystem, terms: _Terms, kept: Mask, first: int, directory: Directory
+) -> Terms:
+    """Return the terms of the kept conditions, numbered from `first`. Collective.
 
-    There rigid bodies have no part in them.
+    Those at rigid bodies are terms of the motions of the body.
     """
-    chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1) & (terms.weight < RIGID)
-    row = terms.row[chosen]
-    factor = scale[row] / np.sqrt(terms.weight[chosen])
-    return ContactConditions(
-        row,
-        terms.node[chosen],
-        terms.coefficients[chosen] * factor[:, None],
-        scale * gap,
-        scale * tolerance,
-        tied,
-        tangential,
+    gdim, modes = system.gdim, 3 * system.gdim - 3
+    chosen = kept[terms.row] & np.any(terms.coefficients != 0.0, axis=1)
+    row, node, c, weight = (
+        column[chosen] for column in (terms.row, terms.node, terms.coefficients, terms.weight)
     )
+    on_body = weight >= RIGID
+    table = directory.table(*_rigid_motions(system))
+    _, body, motions = directory.lookup(node[on_body], *table)
+    soft, weight = np.repeat(row[~on_body], gdim), np.repeat(weight[~on_body], gdim)
+    column = gdim * node[~on_body, None] + np.arange(gdim)
+    moved = np.einsum("ta,tam->tm", c[on_body], motions)
+    entries = Terms(
+        first + np.append(soft, np.repeat(row[on_body], modes)),
+        np.append(column, -1 - modes * body[:, None] - np.arange(modes)),
+        np.append(c[~on_body], moved),
+        np.append(1.0 / weight, np.zeros(moved.size)),
+    )
+    return entries.chosen(entries.value != 0.0)
+
+
+def _rigid_motions(system: TornSystem) -> tuple[Numbers, Numbers, Vector]:
+    """Return the nodes (k,) of rigid subdomains, the number of each's subdomain, and its motions.
+
+    These are displacements (k, gdim, modes) of the node, zero for motions that are not free.
+    """
+    gdim, modes = system.gdim, 3 * system.gdim - 3
+    first = first_of_rank(system.comm, len(system.subdomains))[0]
+    rigid = [k for k, subdomain in enumerate(system.subdomains) if subdomain.is_rigid]
+    nodes, number = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    motions = [np.zeros((0, gdim, modes))]
+    for k in rigid:
+        R = possible_kernel(system.subdomains[k])
+        nodes.append(system.subdomains[k].nodes)
+        number.append(np.full(nodes[-1].size, first + k))
+        motions.append(np.pad(R, ((0, 0), (0, modes - R.shape[1]))).reshape(-1, gdim, modes))
+    return np.concatenate(nodes), np.concatenate(number), np.concatenate(motions)
 
 
 def _spread_over_copies(
@@ -276,3 +346,37 @@ def _check_decided_rows(
         f"{contacts.slave[k]} they close the gap of {distance:g} by {distance - gap[k]:g}. "
         "Prescribe less, or take the nodes out of the contact"
     )
+
+
+def _check_pressed(system: TornSystem, has_row: Mask, free: Mask) -> None:
+    """Check that the normal force is known where the bound of friction depends on it. Collective.
+
+    `has_row` tells which conditions of this rank have rows, `free` which of them prescribed
+    displacements do not decide.
+    """
+    friction, contacts, comm = system.friction, system.contacts, system.comm
+    of_friction = has_row[contacts.size + system.tied.size :]
+    slips = of_friction.reshape(friction.size, system.gdim - 1).any(axis=1)
+    unknown = slips & ~has_row[friction.row] & (np.asarray(friction.coefficient) > 0.0)
+    by_ties, by_supports = (friction.row[unknown & mask[friction.row]] for mask in (free, ~free))
+    with raise_collectively(comm):
+        if by_ties.size:
+            name = system.contact_name(int(contacts.contact[by_ties[0]]))
+            raise InputError(
+                f"friction: at {by_ties.size} contact rows of {name}, the first of slave node "
+                f"{contacts.slave[by_ties[0]]}, the normal force is not known: tied rows hold the "
+                "surfaces together along the normal and let them slip. Tie all directions, leave "
+                "the contact or the tie out, or give a slip bound in place of a coefficient"
+            )
+    nodes, numbers = (
+        concatenate_ranks(comm, x[by_supports]) for x in (contacts.slave, contacts.contact)
+    )
+    if nodes.size:
+        names = ", ".join(system.contact_name(int(k)) for k in np.unique(numbers))
+        warn_on_first_rank(
+            comm,
+            f"there is no friction at {nodes.size} nodes of {names}, the first with the global "
+            f"numbers {np.unique(nodes)[:6].tolist()}: prescribed displacements close the gap "
+            "there, so that the normal force is that of the support. Give a slip bound there, or "
+            "take the nodes out of the contact or of the support",
+        )

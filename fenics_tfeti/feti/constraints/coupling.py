@@ -43,6 +43,7 @@ class Coupling:
     numbers: Numbers  # (w,): global numbers of the coupled rows, ascending
     # (w, w): W; its diagonal is 1, or less for tangential rows; it may be singular
     gram: sp.csr_matrix
+    rigid: sp.csr_matrix  # (w, q): what the rows do to motions of rigid bodies, which W has not
     tied: Mask  # (w,): equalities
     tangential: Mask  # (w,): tangential rows of friction
     tolerance: Vector  # (w,): rounding of right-hand sides
@@ -58,9 +59,35 @@ class Coupling:
         return dependent_groups(self.gram)
 
     @cached_property
+    def clusters(self) -> list[list[Numbers]]:
+        """The groups by the rigid bodies that their rows act on: those of a cluster share some."""
+        members = [sp.csr_matrix(abs(self.rigid[rows]).sum(axis=0)) for rows in self.groups]
+        bodies = sp.vstack([sp.csr_matrix((0, self.rigid.shape[1])), *members])
+        number, cluster = connected_components(bodies @ bodies.T, directed=False)
+        return [[self.groups[g] for g in np.flatnonzero(cluster == k)] for k in range(number)]
+
+    @cached_property
     def dependent(self) -> int:
-        """Rank deficiency of W."""
-        return sum(null_space(_block(self.gram, members)).shape[1] for members in self.groups)
+        """Number of coupled rows less the rank of B there."""
+        number = 0
+        for cluster in self.clusters:
+            null, on_bodies = zip(*map(self.vanishing, cluster), strict=True)
+            number += sum(n.shape[1] for n in null) - rank(np.hstack(on_bodies))
+        return number
+
+    def vanishing(self, rows: Numbers) -> tuple[Vector, Vector]:
+        """Return combinations of some rows (k,) of a group that vanish but at rigid bodies.
+
+        They are an orthonormal basis N (k, n), and what it does to motions of the bodies (q, n).
+        """
+        null = null_space(_block(self.gram, rows))
+        return null, self.rigid[rows].T @ null
+
+    def whole_gram(self, rows: Numbers) -> Vector:
+        """Return a Gram matrix (k, k) of some rows with all terms, those at rigid bodies too."""
+        W, rigid = _block(self.gram, rows), self.rigid[rows].toarray()
+        size = np.abs(self.rigid.data).max(initial=0.0)
+        return W + rigid @ rigid.T / size**2 if size > 0.0 else W
 
     @cached_property
     def block(self) -> Numbers:
@@ -187,6 +214,13 @@ def null_space(W: Vector) -> Vector:
     """Return an orthonormal basis (k, n) of the kernel of a Gram matrix (k, k) of unit rows."""
     values, vectors = np.linalg.eigh(W)
     return vectors[:, values <= PARALLEL]
+
+
+def rank(A: Vector) -> int:
+    """Return the rank of a matrix, which may be empty."""
+    return int(
+        np.count_nonzero(np.linalg.svd(A, compute_uv=False) > ZERO * np.abs(A).max(initial=0.0))
+    )
 
 
 def _block(W: sp.csr_matrix, members: Numbers) -> Vector:

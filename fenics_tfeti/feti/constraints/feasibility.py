@@ -34,7 +34,7 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
         tied = np.flatnonzero(coupling.tied[members])
         both = np.append(np.arange(members.size), tied)
         sign = np.append(np.ones(members.size), -np.ones(tied.size))
-        W = coupling.gram[members][:, members].toarray()[np.ix_(both, both)]
+        W = coupling.whole_gram(members)[np.ix_(both, both)]
         rounding = coupling.tolerance[members[both]]
         found = contradiction(sign[:, None] * W * sign, sign * gaps[members[both]], rounding)
         if found.size:

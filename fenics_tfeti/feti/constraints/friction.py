@@ -19,18 +19,17 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.feti.tolerances import MANY, rounding
-from fenics_tfeti.parallel import largest_of_ranks
+from fenics_tfeti.parallel import largest_of_ranks, positions
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
 class Tangential:
-    """Site, direction and bound of tangential rows; -1 for contact and tied rows."""
+    """Site and direction of tangential rows; -1 for contact and tied rows."""
 
     site: Numbers  # (r,): global number of the contact row with friction, counted from 0
     direction: Numbers  # (r,): number of the tangent
-    bound: Vector  # (r,): Psi [N]
 
     @property
     def mask(self) -> Mask:
@@ -39,12 +38,12 @@ class Tangential:
 
     def chosen(self, rows: Numbers | Mask) -> Tangential:
         """Return those of some rows."""
-        return Tangential(self.site[rows], self.direction[rows], self.bound[rows])
+        return Tangential(self.site[rows], self.direction[rows])
 
 
 @dataclass(frozen=True)
 class SlipBound:
-    """The law of friction |lambda_T| <= r + m lambda_N at the sites that a rank holds."""
+    """The law of friction |lambda_T| <= r + m lambda_N, at the sites of a rank."""
 
     radius: Vector  # (k,): r
     slope: Vector  # (k,): m
@@ -59,17 +58,20 @@ class FrictionRows:
     """The tangential rows that this rank holds, by sites; it holds all rows of a site.
 
     Directions without a row have the position -1; the positions of the first direction that has one
-    ascend. `own` and `normal` are of the sites that this rank gave.
+    ascend. Several contacts may be at one site: `own`, `normal` and `own_bound` are of the contact
+    rows with friction that this rank gave.
     """
 
     rows: Numbers  # (k, gdim - 1): local positions
-    contact: Numbers  # (k,): number of the contact
+    contact: Numbers  # (k,): number of the contact, of the first one
     scale: Vector  # (k,): t: a jump divided by t is a slip [m], t lambda_T a force [N]
-    own: Numbers  # position of each site given; -1 where it has no rows
+    own: Numbers  # (g,): position of the site; -1 where it has no rows
     curved: bool  # whether any rank has a site with two rows, and so a disc
-    normal: Numbers  # local position of its contact row; -1 where it is no row of B
-    # as given: r = Psi / t, m = Coulomb's coefficient * factor of the contact row / t
+    normal: Numbers  # (g,): local position of its contact row; -1 where it is no row of B
+    # as given: r = Psi / t, m = Coulomb's coefficient * factor of the contact row / t; the sums
+    # over the contacts of a site, and those of each
     bound: SlipBound
+    own_bound: SlipBound
 
     @staticmethod
     def build(
@@ -81,10 +83,10 @@ class FrictionRows:
         own_sites: Numbers,
         comm: MPI.Intracomm,
     ) -> FrictionRows:
-        """Collect the rows of each site. Collective.
+        """Collect the rows of each site, without bounds. Collective.
 
         Local positions `rows` (r,) of tangential rows ascend; `tangential`, `contact` and `scale`
-        are theirs. `own_sites` are the sites that this rank gave.
+        are theirs. `own_sites` (g,) are the sites of the contact rows that this rank gave.
         """
         sites, first, at = np.unique(tangential.site, return_index=True, return_inverse=True)
         table = np.full((sites.size, directions), -1, dtype=np.int64)
@@ -92,32 +94,36 @@ class FrictionRows:
         order = np.argsort(first)
         position = np.full(sites.size + 1, -1, dtype=np.int64)
         position[order] = np.arange(sites.size)
-        found = np.searchsorted(sites, own_sites)
-        there = np.zeros(own_sites.size, dtype=bool)
-        inside = found < sites.size
-        there[inside] = sites[found[inside]] == own_sites[inside]
         first = first[order]
+        none = np.zeros(own_sites.size)
         return FrictionRows(
             table[order],
             contact[first],
             scale[first],
-            position[np.where(there, found, sites.size)],
+            position[positions(sites, own_sites)],
             bool(comm.allreduce(directions == 2 and (table >= 0).all(axis=1).any(), MPI.LOR)),
             np.full(own_sites.size, -1, dtype=np.int64),
-            SlipBound(tangential.bound[first] / scale[first], np.zeros(sites.size)),
+            SlipBound(np.zeros(sites.size), np.zeros(sites.size)),
+            SlipBound(none, none),
         )
 
-    def with_normals(
-        self, normal: Numbers, factor: Vector, coefficient: Vector, layout: DualLayout
+    def with_bounds(
+        self, normal: Numbers, leads: Mask, bound: Vector, coefficient: Vector, layout: DualLayout
     ) -> FrictionRows:
-        """Return the rows with the contact rows and coefficients of their sites. Collective.
+        """Return the rows with slip bounds and coefficients. Collective.
 
-        All arrays are of the sites that this rank gave: local positions of their contact rows, or
-        -1, the factors of these rows and the coefficients of friction.
+        All arrays (g,) are of the contact rows with friction that this rank gave: their local
+        positions, or -1, which are the first of their sites, their bounds [N], and their
+        coefficients times the factors of their normal multipliers.
         """
-        slope = self.from_given(np.where(normal >= 0, coefficient * factor, 0.0), layout)
-        bound = SlipBound(self.bound.radius, slope / self.scale)
-        return replace(self, normal=normal, bound=bound)
+        scale = self.given(self.scale)
+        parts = (
+            np.divide(x, scale, out=np.zeros_like(scale), where=scale > 0.0)
+            for x in (bound, np.where(normal >= 0, coefficient, 0.0))
+        )
+        own_bound = SlipBound(*parts)
+        sums = SlipBound(*(self.from_given(x, layout) for x in vars(own_bound).values()))
+        return replace(self, normal=np.where(leads, normal, -1), bound=sums, own_bound=own_bound)
 
     @property
     def size(self) -> int:
@@ -149,10 +155,10 @@ class FrictionRows:
         return x
 
     def from_given(self, values: Vector, layout: DualLayout) -> Vector:
-        """Return the values (k,) of all sites from those that each rank gave. Collective."""
+        """Return the sums (k,) at all sites of values (g,) that each rank gave. Collective."""
         part, at = np.zeros(layout.numbers.size), self.rows.max(axis=1, initial=-1)
         here = self.own >= 0
-        part[at[self.own[here]]] = values[here]
+        np.add.at(part, at[self.own[here]], values[here])
         return layout.sum(part)[at]
 
     def pressing(self, multipliers: Vector, layout: DualLayout) -> Vector:
@@ -249,12 +255,12 @@ class FrictionRows:
 def check_slides(
     contacts: ContactRows, tangential: Tangential, gap: Vector, tolerance: Vector, free: Mask
 ) -> None:
-    """Check that prescribed displacements slide nothing that may slip in another direction.
+    """Check that supports and ties slide nothing that may slip in another direction.
 
     The conditions (r,) are all of this rank; the tangential rows of a site follow each other. `gap`
-    is the right-hand side without the part that prescribed displacements decide, `tolerance` its
-    rounding, `free` tells whether a row has a free part. Raises an InputError on this rank that
-    names the first slave node.
+    is the right-hand side without the part that prescribed displacements and tied rows decide,
+    `tolerance` its rounding, `free` tells whether a row has a part that is left. Raises an
+    InputError on this rank that names the first slave node.
     """
     first = np.flatnonzero(tangential.mask & (tangential.direction == 0))
     second = np.flatnonzero(tangential.mask & (tangential.direction == 1))
@@ -265,9 +271,10 @@ def check_slides(
     if sliding.any():
         k = decided[np.flatnonzero(sliding)[0]]
         raise InputError(
-            f"friction: prescribed displacements slide {np.count_nonzero(sliding)} contact rows in "
-            f"one tangential direction and leave the other free, the first by {-gap[k]:g} at "
-            f"slave node {contacts.slave[k]}. Prescribe both directions, or take friction out"
+            "friction: prescribed displacements or tied rows slide "
+            f"{np.count_nonzero(sliding)} contact rows in one tangential direction and leave the "
+            f"other free, the first by {-gap[k]:g} at slave node {contacts.slave[k]}. Prescribe "
+            "both directions, or take friction out"
         )
 
 

@@ -16,8 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.errors import InputError
-from fenics_tfeti.feti.constraints.conditions import ConditionRows, RowData, condition_rows
+from fenics_tfeti.feti.constraints.conditions import ConditionRows, condition_rows
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
 from fenics_tfeti.feti.constraints.entries import Entries
@@ -25,7 +24,7 @@ from fenics_tfeti.feti.constraints.equality import equality_rows
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, raise_collectively
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -33,14 +32,15 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class SurfaceRows:
     """The contact rows, or the tied rows, that this rank holds.
 
-    Of the rows given, those that are far away, that prescribed displacements alone decide or that
-    another row implies are no rows of B.
+    Of the rows given, those that are far away, that prescribed displacements or tied rows decide
+    and that are farther away than a parallel one are no rows of B. Equal ones are one row.
     """
 
     rows: Numbers  # (k,): local positions, ascending
-    contact: Numbers  # (k,): number of the contact
+    contact: Numbers  # (k,): number of the contact, of the first one
     scale: Vector  # (k,): t
     own_rows: Numbers  # (rows that this rank gave,): local positions; -1 for no row of B
+    share: Vector  # (rows that this rank gave,): part of the row's force, with a sign
 
     def forces(self, multipliers: Vector) -> Vector:
         """Return the force of each row that this rank gave [N]; 0 if it is no row of B.
@@ -50,7 +50,7 @@ class SurfaceRows:
         # -1 is the last one, zero; a rank may give rows without holding a single row of B
         force = np.zeros(multipliers.size + 1)
         force[self.rows] = self.scale * multipliers[self.rows]
-        return force[self.own_rows]
+        return self.share * force[self.own_rows]
 
     def moved(self, places: Numbers) -> SurfaceRows:
         """Return the rows at new local positions, by the old ones."""
@@ -73,7 +73,7 @@ class Constraints:
     tied: SurfaceRows  # equality rows
     weights: Vector  # (n,): diagonal of D for this rank's torn displacements
     nodes: int  # distinct nodes over all ranks
-    redundant: int  # contact and tied rows dropped because others imply them
+    redundant: int  # contact and tied rows that others imply or equal
     infinite_gaps: int  # contact rows dropped because their gap is infinite
     coupling: Coupling  # contact, tied and tangential rows that are not orthogonal to all others
     friction: FrictionRows
@@ -138,6 +138,8 @@ class Constraints:
             and np.array_equal(self.contacts.contact, other.contacts.contact)
             and np.array_equal(self.tied.contact, other.tied.contact)
             and np.array_equal(self.friction.contact, other.friction.contact)
+            and np.array_equal(self.contacts.share, other.contacts.share)
+            and np.array_equal(self.tied.share, other.tied.share)
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
 
@@ -191,9 +193,9 @@ def build_constraints(
     equality_total = first_of_rank(system.comm, int(table.rows.sum()))[1]
     conditions = condition_rows(system, directory, copies, table, equality_total)
 
-    given, kept = conditions.given, conditions.kept
+    given, has_row = conditions.given, conditions.has_row
     entries = Entries.concatenate([equality.entries, conditions.entries])
-    rows = given.chosen(kept).concatenate(conditions.local)
+    rows = given.chosen(has_row).concatenate(conditions.local)
     layout = _along_subdomains(system.comm, equality.entries, rows.number)
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
@@ -201,57 +203,61 @@ def build_constraints(
     c[layout.local(equality.prescribed)] = equality.values
     c[layout.local(rows.number)] = rows.rhs
 
-    own_rows = np.full(kept.size, -1, dtype=np.int64)
-    own_rows[kept] = layout.local(given.number[kept])
-    contact_rows, tied_rows = own_rows[: system.contacts.size], own_rows[given.tied]
+    own_rows = np.full(has_row.size, -1, dtype=np.int64)
+    own_rows[has_row] = layout.local(given.number[has_row])
     # each row once
     position, first = np.unique(layout.local(rows.number), return_index=True)
     rows = rows.chosen(first)
-    slip, tied = rows.tangential.mask, rows.tied
-    pressing = ~tied & ~slip
-    constraints = Constraints(
-        matrix,
-        layout,
-        contacts=SurfaceRows(
-            position[pressing], rows.contact[pressing], rows.scale[pressing], contact_rows
-        ),
-        tied=SurfaceRows(position[tied], rows.contact[tied], rows.scale[tied], tied_rows),
-        weights=np.repeat(copies.weight, system.gdim),
-        nodes=first_of_rank(system.comm, directory.keys.size)[1],
-        redundant=conditions.redundancy.dropped_total,
-        infinite_gaps=conditions.infinite_gaps,
-        coupling=_coupling(layout, conditions),
-        friction=_friction_rows(
-            system, layout, given, rows, position, contact_rows[system.friction.row]
-        ),
+    slip = rows.tangential.mask
+    contacts, tied = (
+        SurfaceRows(
+            position[chosen], rows.contact[chosen], rows.scale[chosen], own_rows[own], share[own]
+        )
+        for chosen, own, share in (
+            (~rows.tied & ~slip, slice(system.contacts.size), conditions.share),
+            (rows.tied, given.tied, conditions.share),
+        )
     )
-    return constraints, c
-
-
-def _friction_rows(
-    system: TornSystem,
-    layout: DualLayout,
-    given: RowData,
-    rows: RowData,
-    position: Numbers,
-    normal: Numbers,
-) -> FrictionRows:
-    """Return the tangential ones of rows at local positions; `normal` are their contact rows."""
-    slip, sites = rows.tangential.mask, given.tangential.site
     friction = FrictionRows.build(
         position[slip],
         rows.tangential.chosen(slip),
         rows.contact[slip],
         rows.scale[slip],
         system.gdim - 1,
-        np.unique(sites[sites >= 0]),
+        conditions.sites,
         system.comm,
     )
-    _check_pressed(system, friction, normal)
+    constraints = Constraints(
+        matrix,
+        layout,
+        contacts,
+        tied,
+        weights=np.repeat(copies.weight, system.gdim),
+        nodes=first_of_rank(system.comm, directory.keys.size)[1],
+        redundant=conditions.redundancy.dropped,
+        infinite_gaps=conditions.infinite_gaps,
+        coupling=_coupling(layout, conditions),
+        friction=_with_bounds(friction, system, conditions, contacts, layout),
+    )
+    return constraints, c
+
+
+def _with_bounds(
+    friction: FrictionRows,
+    system: TornSystem,
+    conditions: ConditionRows,
+    contacts: SurfaceRows,
+    layout: DualLayout,
+) -> FrictionRows:
+    """Return the rows with the slip bounds and coefficients of the system. Collective."""
+    row = system.friction.row
     scale = np.zeros(layout.numbers.size + 1)
-    scale[position] = rows.scale
-    coefficient = np.asarray(system.friction.coefficient)
-    return friction.with_normals(normal, scale[normal], coefficient, layout)
+    scale[contacts.rows] = contacts.scale
+    normal = contacts.own_rows[row]
+    coefficient = np.asarray(system.friction.coefficient) * contacts.share[row] * scale[normal]
+    return friction.with_bounds(
+        normal, conditions.leads, system.friction.bound, coefficient, layout
+    )
 
 
 def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Numbers) -> DualLayout:
@@ -268,21 +274,6 @@ def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Number
     return DualLayout(comm, np.concatenate([numbers, conditions]), place)
 
 
-def _check_pressed(system: TornSystem, friction: FrictionRows, normal: Numbers) -> None:
-    """Check that the normal force is known wherever the bound depends on it. Collective."""
-    with raise_collectively(system.comm):
-        lost = (friction.own >= 0) & (normal < 0) & (np.asarray(system.friction.coefficient) > 0.0)
-        if lost.any():
-            row, contacts = system.friction.row[np.flatnonzero(lost)[0]], system.contacts
-            raise InputError(
-                f"friction: at {np.count_nonzero(lost)} contact rows with a coefficient of "
-                f"friction, the first of slave node {contacts.slave[row]} in "
-                f"{system.contact_name(int(contacts.contact[row]))}, the normal force is not "
-                "known: prescribed displacements or another contact with the same normal decide "
-                "the gap. Take friction out of these rows, or give them a slip bound"
-            )
-
-
 def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     """Find the coupled rows' numbers and those that this rank holds. Collective."""
     given, coupled = conditions.given, conditions.redundancy.coupled
@@ -296,6 +287,7 @@ def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     return Coupling(
         numbers,
         conditions.redundancy.gram,
+        conditions.redundancy.rigid,
         tied,
         tangential,
         tolerance,

@@ -9,11 +9,12 @@ whose force vanishes leaves the face, a site of friction whose force is as large
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from fenics_tfeti.feti.constraints.coupling import Coupling, null_space
+from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.dual.pcpg import ContactState
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
@@ -45,8 +46,8 @@ def closable(
     on_face = constraints.face(contact_state.active, contact_state.sticking).astype(float)
     coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
     before = coupled.on_face.copy()
-    for group in coupling.groups:
-        coupled.remove_dependent(group)
+    for cluster in coupling.clusters:
+        coupled.remove_dependent(cluster)
     removed = before & ~coupled.on_face
     if not removed.any():
         return None
@@ -85,14 +86,15 @@ class _CoupledRows:
         self._site = np.where(coupling.tangential, site, -1.0 - np.arange(site.size))
         # a force has a part in a row that is not coupled, or in another group
         self._size2 = size**2
+        # of the rows of a group that are on the face
+        self._vanishing: dict[bytes, tuple[Vector, Vector]] = {}
 
-    def remove_dependent(self, group: Numbers) -> None:
-        """Move forces of one group, and take rows off the face, until the others can be closed."""
+    def remove_dependent(self, cluster: Sequence[Numbers]) -> None:
+        """Move forces of a cluster, and take rows off the face, until the others can be closed."""
         coupling = self._coupling
         while True:
-            rows = group[self.on_face[group]]
-            null = null_space(coupling.gram[rows][:, rows].toarray())
-            y = -null @ (null.T @ self._gap[rows])
+            groups = [group[self.on_face[group]] for group in cluster]
+            rows, y = np.concatenate(groups), -self._vanishing_part(groups)
             largest = np.abs(y).max(initial=0.0)
             if largest <= rounding(np.abs(self._gap[rows]).max(initial=0.0), MANY):
                 return
@@ -105,6 +107,18 @@ class _CoupledRows:
                 return
             self._move(rows, step[nearest] * y)
             self.on_face &= self._site != self._site[rows[nearest]]
+
+    def _vanishing_part(self, groups: Sequence[Numbers]) -> Vector:
+        """Return the part of the gaps of the rows (k,) of some groups that lies in B'y = o."""
+        for rows in groups:
+            if (key := rows.tobytes()) not in self._vanishing:
+                self._vanishing[key] = self._coupling.vanishing(rows)
+        null, on_bodies = zip(*(self._vanishing[rows.tobytes()] for rows in groups), strict=True)
+        parts = [N.T @ self._gap[rows] for N, rows in zip(null, groups, strict=True)]
+        z, M = np.concatenate(parts), np.hstack(on_bodies)
+        z = z - np.linalg.lstsq(M, M @ z, rcond=ZERO)[0]
+        parts = np.split(z, np.cumsum([part.size for part in parts])[:-1])
+        return np.concatenate([N @ part for N, part in zip(null, parts, strict=True)])
 
     def _to_bound(self, rows: Numbers, y: Vector) -> Vector:
         """Return the step along y to the bound of the friction force of each row's site."""

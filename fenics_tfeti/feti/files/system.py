@@ -27,7 +27,7 @@ Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
 _SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame", "kernel", "motions")
-_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves")
+_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves", "area")
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
@@ -296,7 +296,8 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
     coefficients = file.read(f"{part}/coefficients", "numbers", (nodes.size, gdim))
     contact = file.read(f"{part}/contact", "integers", gap.shape)
     slaves = file.optional(f"{part}/slaves", "integers", gap.shape)
-    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves)
+    area = file.optional(f"{part}/area", "numbers", gap.shape)
+    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area)
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
 
 

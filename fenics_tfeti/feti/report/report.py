@@ -259,7 +259,7 @@ def build_report(
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
-    sums = resultants(system, setup.F, local, data.load, candidate.multipliers, candidate.slips)
+    sums = resultants(system, setup.F, local, data, candidate.multipliers, candidate.slips)
     return Report(
         unknowns=_unknowns(system, setup, data, candidate),
         reused=reused,

@@ -18,6 +18,7 @@ from fenics_tfeti.feti.constraints.ground import TornUnknowns
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.solution.setup import LocalSetup
+from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import ContactRows, TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, count_over_ranks
 from fenics_tfeti.typing import Numbers, Vector
@@ -103,34 +104,44 @@ class _NodalForces:
         return np.concatenate([forces.sum(axis=0), moment, [_size(forces)]])
 
 
-def tangential_forces(constraints: Constraints, multipliers: Vector) -> Vector:
-    """Return the tangential force at each site of friction that this rank gave, (k, gdim - 1) [N].
+def tangential_forces(constraints: Constraints, data: ContactData, multipliers: Vector) -> Vector:
+    """Return the tangential force of each frictional row of this rank, (k, gdim - 1) [N].
 
     It acts on the slave against the tangents. It is zero where there is nothing to touch, and in
-    directions that prescribed displacements decide.
+    directions that prescribed displacements decide. Contacts at one site share its force as their
+    bounds are. Collective.
     """
     friction = constraints.friction
-    return friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
+    pressing = friction.pressing(multipliers, constraints.layout)
+    # the bounds of an unloaded site are those of any force
+    pressing = np.where(pressing > 0.0, pressing, 1.0)
+    bound, part = (
+        friction.given(data.bound.at(pressing)),
+        data.own_bound.at(friction.given(pressing)),
+    )
+    share = np.divide(part, bound, out=np.ones_like(part), where=bound > 0.0)
+    forces = friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
+    return share[:, None] * forces
 
 
 def resultants(
     system: TornSystem,
     F: DualOperator,
     local: LocalSetup,
-    load: Vector,
+    data: ContactData,
     multipliers: Vector,
     slips: Vector,
 ) -> Resultants:
     """Sum up the forces of a solution over all ranks. Collective.
 
-    `load` is f (n,) of this rank's subdomains [N], `slips` are those at the sites of friction,
-    scaled as the rows.
+    `slips` are those at the sites of friction, scaled as the rows.
     """
     gdim, comm, unknowns = system.gdim, system.comm, local.unknowns
-    forces = _contact_forces(system, F.constraints, multipliers)
+    friction_force = tangential_forces(F.constraints, data, multipliers)
+    forces = _contact_forces(system, F.constraints, multipliers, friction_force)
     rows = forces.rows
     x = system.coordinates
-    loads = unknowns.without_ground(load).reshape(-1, gdim)
+    loads = unknowns.without_ground(data.load).reshape(-1, gdim)
     constraint_forces = F.constraint_forces(multipliers)
     supports = -unknowns.without_ground(constraint_forces).reshape(-1, gdim)
     internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
@@ -147,7 +158,10 @@ def resultants(
 
     contacts = max(len(system.contact_names), count_over_ranks(comm, rows.contact))
     normal_sums = comm.allreduce(forces.normal_sums(system.contacts, contacts))
-    work = comm.allreduce(_friction_work(F.constraints, multipliers, slips, contacts))
+    friction = F.constraints.friction
+    work_of_rows = np.sum(friction_force * friction.given(slips / friction.scale[:, None]), axis=1)
+    contact = system.contacts.contact[system.friction.row]
+    work = comm.allreduce(np.bincount(contact, work_of_rows, contacts).astype(np.float64))
     points = _points(system, x, F, unknowns, rows.nodes)
     sides = comm.allreduce(forces.sums_of_sides(points, contacts))
     # what a row exerts in all is a force from outside: that of an obstacle
@@ -183,17 +197,6 @@ def resultants(
     )
 
 
-def _friction_work(
-    constraints: Constraints, multipliers: Vector, slips: Vector, contacts: int
-) -> Vector:
-    """Return this rank's part of the work of tangential forces on slips, (contacts,) [J]."""
-    friction = constraints.friction
-    owned = constraints.owned_sites
-    work = np.sum(slips * friction.at_sites(multipliers), axis=1)[owned]
-    sums = np.bincount(friction.contact[owned], weights=work, minlength=contacts)
-    return sums.astype(np.float64)
-
-
 @dataclass(frozen=True)
 class _RowForces:
     """The forces (terms, gdim) that contact, tied and tangential rows exert at their nodes."""
@@ -219,7 +222,7 @@ class _RowForces:
 
 
 def _contact_forces(
-    system: TornSystem, constraints: Constraints, multipliers: Vector
+    system: TornSystem, constraints: Constraints, multipliers: Vector, friction_force: Vector
 ) -> _RowForces:
     """Return the forces of all rows that this rank gave at their nodes. Collective."""
     tangential = system.friction.tangential_rows(system.contacts)
@@ -227,7 +230,7 @@ def _contact_forces(
     forces = [
         constraints.contacts.forces(multipliers),
         constraints.tied.forces(multipliers),
-        tangential_forces(constraints, multipliers).ravel(),
+        friction_force.ravel(),
     ]
     factor = -(np.concatenate(forces) / rows.length)[rows.row]
     internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))

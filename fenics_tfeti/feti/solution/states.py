@@ -23,6 +23,7 @@ class ContactData:
     e_size: Vector  # (coarse,) |R|'|f|, which the rounding of e is relative to
     feasible: Vector  # (m,) lambda~ with G lambda~ = e, lambda~_I >= o and |lambda~_T| <= r
     bound: SlipBound  # the law of friction
+    own_bound: SlipBound  # its parts at the contact rows that this rank gave
     radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
     removed: Vector | float = 0.0  # (m,) B R a of prescribed motions that were taken out of c
 

@@ -107,6 +107,7 @@ SITES = FrictionRows(
     curved=True,
     normal=np.array([0, -1, -1]),
     bound=SlipBound(np.array([5.0, 2.0, 0.0]), np.array([0.0, 0.5, 0.5])),
+    own_bound=SlipBound(np.array([0.0, 2.0, 5.0]), np.array([0.5, 0.5, 0.0])),
 )
 RADIUS = SITES.bound.radius
 
@@ -159,8 +160,22 @@ def test_bounds_follow_the_normal_forces():
     unloaded = np.append(1e-14, multipliers[1:])
     assert SITES.pressing(unloaded, layout).tolist() == [0.0, 0.0, 0.0]
     assert SITES.normal_numbers(layout).tolist() == [-1, -1, 7]
-    given = SITES.with_normals(SITES.normal, np.array([2.0, 1, 1]), np.full(3, 0.3), layout)
+    first, slope = np.array([True, False, True]), np.array([0.6, 0.3, 0.3])
+    given = SITES.with_bounds(SITES.normal, first, np.array([0.0, 2.0, 5.0]), slope, layout)
     assert given.bound.slope.tolist() == [0.0, 0.0, 0.6]
+    assert given.bound.radius.tolist() == [5.0, 0.0, 0.0]
+
+
+def test_contacts_at_one_site_add_their_bounds():
+    """Both have the contact row 0, of which the first gives the force."""
+    layout = DualLayout(MPI.COMM_SELF, np.array([7, 8, 9, 20, 21, 22]))
+    sites = dataclasses.replace(SITES, own=np.array([2, 2]))
+    normal, first = np.array([0, 0]), np.array([True, False])
+    both = sites.with_bounds(normal, first, np.array([1.0, 0.5]), np.array([0.1, 0.3]), layout)
+    pressing = both.pressing(np.full(6, 4.0), layout)
+    assert pressing.tolist() == [0.0, 0.0, 4.0]
+    np.testing.assert_allclose(both.bound.at(pressing), [0.0, 0.0, 1.5 + 0.4 * 4.0])
+    np.testing.assert_allclose(both.own_bound.at(both.given(pressing)), [1.4, 1.7])
 
 
 def test_rows_of_different_lengths_have_one_scale():

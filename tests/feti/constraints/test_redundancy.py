@@ -1,4 +1,4 @@
-"""Nodes in several contact conditions: what repeats is dropped, what contradicts is an error."""
+"""Nodes in several contact conditions: equal ones are one, what contradicts is an error."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ import pytest
 from torn import column, cube
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import (
+    ContactRows,
+    Friction,
+    Options,
+    Prescribed,
+    Subdomain,
+    TornSolver,
+    TornSystem,
+)
 from fenics_tfeti.feti.constraints.rows import build_constraints
 
 pytestmark = pytest.mark.once
@@ -39,19 +47,54 @@ def fixed(node: int, *components: int) -> Prescribed:
     ("first", "second", "prescribed", "stays"),
     [
         ((NODE, -1, Z, 0.2), (NODE, -1, Z, 0.1), None, 1),
-        ((NODE, -1, Z, 0.1), (NODE, -1, Z, 0.1), None, 0),
         ((NODE, OTHER, X, 0.1), (NODE, OTHER, X, 0.3), None, 0),
         ((NODE, OTHER, X, 0.3), (OTHER, NODE, -X, 0.1), None, 1),
         # what is prescribed takes the difference away
         ((NODE, -1, X + Z, 0.1), (NODE, -1, X + 2 * Z, 0.1), fixed(NODE, 0), 1),
         ((NODE, -1, Z, 0.2), (NODE, OTHER, Z, 0.1), fixed(OTHER, 0, 1, 2), 1),
     ],
-    ids=["looser", "equal", "pair", "exchanged", "parallel to what is free", "held master"],
+    ids=["looser", "pair", "exchanged", "parallel to what is free", "held master"],
 )
 def test_the_strictest_of_parallel_rows_stays(first, second, prescribed, stays):
     constraints, c = build_constraints(two_cubes(conditions(first, second), prescribed))
     assert constraints.redundant == 1
     assert (constraints.contacts.own_rows >= 0).tolist() == [stays == 0, stays == 1]
+
+
+def with_areas(rows: ContactRows, *areas: float) -> ContactRows:
+    return dataclasses.replace(rows, area=np.array(areas))
+
+
+@pytest.mark.parametrize(
+    ("areas", "shares"),
+    [
+        ((1.0, 3.0), (0.25, 0.75)),
+        ((np.nan, np.nan), (0.5, 0.5)),
+        # on the axis of an axisymmetric body
+        ((0.0, 0.0), (0.5, 0.5)),
+    ],
+)
+def test_equal_rows_are_one_and_share_its_force_by_area(areas, shares):
+    rows = conditions((NODE, OTHER, Z, 0.1), (OTHER, NODE, -Z, 0.1), (NODE, -1, X, 0.0))
+    constraints, _ = build_constraints(two_cubes(with_areas(rows, *areas, 1.0)))
+    assert (constraints.redundant, constraints.dependent) == (1, 0)
+    assert constraints.contacts.own_rows[0] == constraints.contacts.own_rows[1]
+    force = constraints.contacts.forces(np.full(constraints.size, 2.0))
+    np.testing.assert_allclose(force[:2] / force[:2].sum(), shares)
+
+
+@pytest.mark.parametrize(
+    ("second", "is_one"), [((X, Y), True), ((Y, X), False)], ids=["same", "turned"]
+)
+def test_friction_of_equal_rows_is_one_site(second, is_one):
+    """Its bound is the sum of theirs, each for its share of the normal force."""
+    rows = with_areas(conditions((NODE, OTHER, Z, 0.1), (NODE, OTHER, Z, 0.1)), 1.0, 3.0)
+    friction = Friction([0, 1], [(X, Y), second], [2.0, 0.0], coefficient=[0.1, 0.2])
+    system = dataclasses.replace(two_cubes(rows), friction=friction)
+    sites = build_constraints(system)[0].friction
+    bound = sites.scale * sites.bound.at(np.ones(sites.size) / sites.scale)
+    parts = [2.0 + 0.1 * 0.25, 0.2 * 0.75]
+    np.testing.assert_allclose(np.sort(bound)[::-1], [sum(parts)] if is_one else parts)
 
 
 @pytest.mark.parametrize(("rows", "dependent"), [
@@ -82,8 +125,8 @@ def tied(contacts, ties) -> TornSystem:
         (-Z, -0.1, None),
         (Z, 0.3, None),
         (-Z, 0.3, None),
-        (Z, 0.1 - 1e-9, "1 tied conditions contradict"),
-        (-Z, -0.1 - 1e-9, "1 tied conditions contradict"),
+        (Z, 0.1 - 1e-9, "1 conditions contradict tied ones"),
+        (-Z, -0.1 - 1e-9, "1 conditions contradict tied ones"),
     ],
     ids=["equal", "opposite", "far", "opposite and far", "closer", "opposite and closer"],
 )
@@ -101,10 +144,99 @@ def test_tied_row_decides_contact_rows_along_it(normal, gap, message):
 
 
 def test_surface_tied_twice():
-    same, closer = (conditions((NODE, OTHER, Z, 0.1), (OTHER, NODE, Z, g)) for g in (-0.1, 0.1))
-    assert build_constraints(tied(ContactRows.none(3), same))[0].redundant == 1
-    with pytest.raises(InputError, match="2 tied conditions contradict"):
+    """The force of the second row, in the other direction, has the other sign."""
+    same, closer = (conditions((NODE, OTHER, Z, 0.1), (NODE, OTHER, -Z, g)) for g in (-0.1, 0.1))
+    constraints, _ = build_constraints(tied(ContactRows.none(3), with_areas(same, 1.0, 3.0)))
+    assert constraints.redundant == 1
+    np.testing.assert_allclose(constraints.tied.share, [0.25, -0.75])
+    with pytest.raises(InputError, match="2 conditions contradict tied ones"):
         build_constraints(tied(ContactRows.none(3), closer))
+
+
+@pytest.mark.parametrize(
+    ("ties", "tangential"),
+    [
+        # along all axes: the contact, inclined to them, is decided, and nothing can slip
+        ([(X, 0.0), (Y, 0.0), (Z, 0.0)], 0),
+        # the gap stays open
+        ([(Z, 0.0), (X, -0.2)], 0),
+        # the normal is free
+        ([(Y, 0.0)], 1),
+    ],
+    ids=["all", "open", "one"],
+)
+def test_what_ties_decide_takes_its_friction_with_it(ties, tangential):
+    normal = np.array([0.6, 0.0, 0.8])
+    contact = conditions((NODE, OTHER, normal, 0.0))
+    friction = Friction([0], [[[0.8, 0.0, -0.6], Y]], [0.0], coefficient=[0.3])
+    system = tied(contact, conditions(*((NODE, OTHER, axis, gap) for axis, gap in ties)))
+    constraints, _ = build_constraints(dataclasses.replace(system, friction=friction))
+    assert (constraints.contacts.own_rows >= 0).tolist() == [len(ties) == 1]
+    assert np.count_nonzero(constraints.friction.present) == tangential
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.1])
+def test_coefficient_where_tied_rows_carry_the_normal_force(gap):
+    """With a gap that stays open there is no friction."""
+    friction = Friction([0], [[X, Y]], [0.0], coefficient=[0.3])
+    system = tied(conditions((NODE, OTHER, Z, gap)), conditions((NODE, OTHER, Z, 0.0)))
+    system = dataclasses.replace(system, friction=friction)
+    if gap:
+        assert not build_constraints(system)[0].friction.size
+        return
+    with pytest.raises(InputError, match=rf"slave node {NODE}, the normal force is not known"):
+        build_constraints(system)
+
+
+BODY = 3 * 10**9
+
+
+def bodies_on_a_line(*rows: tuple[int, float, float]) -> TornSystem:
+    """Return rows (body, sign of the normal, gap) between NODE and rigid bodies, -1 for none.
+
+    A body has one node and moves along z.
+    """
+    along = Z[:, None]
+    bodies = [
+        Subdomain.rigid(np.zeros(3), [[0.0, 0.0, 1.0]], [BODY + k], 2 + k, along) for k in (0, 1)
+    ]
+    contacts = conditions(
+        *((NODE, -1 if k < 0 else BODY + k, sign * Z, gap) for k, sign, gap in rows)
+    )
+    system = two_cubes(contacts)
+    return dataclasses.replace(system, subdomains=[*system.subdomains, *bodies])
+
+
+@pytest.mark.parametrize(
+    ("rows", "different"),
+    [
+        ([(0, 1, 0.1), (-1, 1, 0.05)], 2),
+        ([(0, 1, 0.1), (1, 1, 0.1)], 2),
+        ([(0, 1, 0.1), (0, 1, 0.1)], 1),
+        # opposite rows of bodies that can give way
+        ([(0, 1, 0.1), (-1, -1, -0.2)], 2),
+        ([(0, 1, 0.1), (1, -1, -0.2)], 2),
+    ],
+    ids=["body and stop", "two bodies", "one body", "clamped", "clamped by two"],
+)
+def test_rows_of_different_rigid_bodies_are_different(rows, different):
+    system = bodies_on_a_line(*rows)
+    constraints, _ = build_constraints(system)
+    assert np.unique(constraints.contacts.own_rows).size == different
+    assert constraints.dependent == 0
+    TornSolver(system)
+
+
+def test_no_room_between_two_sides_of_one_body():
+    with pytest.raises(InputError, match="exclude each other"):
+        build_constraints(bodies_on_a_line((0, 1, 0.1), (0, -1, -0.2)))
+
+
+@pytest.mark.parametrize("bodies", [(0, 0), (0, 1)], ids=["one", "two"])
+def test_ties_to_different_rigid_bodies(bodies):
+    system = bodies_on_a_line(*((k, 1, 0.0) for k in bodies))
+    system = dataclasses.replace(system, tied=system.contacts, contacts=ContactRows.none(3))
+    assert np.unique(build_constraints(system)[0].tied.own_rows).size == len(set(bodies))
 
 
 @pytest.mark.parametrize("room", [-0.1, -1e-9, -1e-10])

@@ -22,6 +22,7 @@ def remaining(B, chosen, force, gap, sites=None, size=None, radius=None):
     coupling = Coupling(
         every,
         sp.csr_matrix(B @ B.T),
+        sp.csr_matrix((k, 0)),
         none,
         sites >= 0,
         np.zeros(k),
@@ -40,7 +41,7 @@ def remaining(B, chosen, force, gap, sites=None, size=None, radius=None):
         unused if size is None else size,
         unused if radius is None else radius,
     )
-    rows.remove_dependent(every)
+    rows.remove_dependent([every])
     return rows.on_face, rows.force
 
 

@@ -2,11 +2,10 @@
 
 import numpy as np
 import scenes
-from scenes import CLAMPED, LOADED, MASTER, ROLLER, SLAVE, at
+from scenes import CLAMPED, MASTER, ROLLER, SLAVE, at
 
-from fenics_tfeti import Along, ContactPair, Exact, Mapped, Nearest, Points
-from fenics_tfeti.io import tag_facets
-from mistakes.catalogue import beams, solved, table
+from fenics_tfeti import Along, Exact, Mapped, Nearest, Points
+from mistakes.catalogue import beams, table
 
 # the slave's nodes of beams()
 PLACES = np.array([[1.0, 1.0, 0.0], [1.25, 1, 0], [1.5, 1, 0], [1.75, 1, 0], [2.0, 1, 0]])
@@ -69,18 +68,6 @@ def partial_contact_that_is_not_one_to_one(comm):
     scene = two_blocks(comm)
     scene.add_pair(MASTER, SLAVE, partners=Nearest(tolerance=1.0), partial=True)
     scene.problem().solve()
-
-
-def two_contacts(scene):
-    """Return two contacts with one master, whose slaves share a node."""
-    top = at(1, 1.0)
-    marks = [
-        (SLAVE, lambda x: top(x) & (x[0] > 0.99) & (x[0] < 1.51), 2),
-        (MASTER, lambda x: top(x) & (x[0] > 0.99) & (x[0] < 2.01), 1),
-        (LOADED, lambda x: top(x) & (x[0] > 1.49) & (x[0] < 2.01), 2),
-    ]
-    halves = tag_facets(scene.mesh, marks, scene.cell_tags)
-    return [ContactPair(halves, s, MASTER, name=n) for s, n in ((SLAVE, "one"), (LOADED, "two"))]
 
 
 def pairs_of_degree_2(comm):
@@ -171,7 +158,6 @@ MISTAKES = table(
     ),
     ("partial contact without any pair", mortar(partners=Mapped(lambda x: x + 5.0), partial=True)),
     ("partial contact that is not one to one", partial_contact_that_is_not_one_to_one),
-    ("slave nodes with the same master in two contacts", solved(contacts=two_contacts)),
     ("pairs of nodes for displacements of degree 2", pairs_of_degree_2),
     ("unknown initial gap", mortar(initial_gap="close")),
     ("initial gap that is NaN", mortar(initial_gap=lambda x: np.nan * x[0])),

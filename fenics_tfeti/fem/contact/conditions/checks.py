@@ -1,9 +1,8 @@
-"""Checks of contacts that overlap each other, or whose surfaces share nodes or are too deep."""
+"""Checks of contacts that join the same surfaces, or whose surfaces are too deep."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 from mpi4py import MPI
 
@@ -14,7 +13,6 @@ from dolfinx.fem import FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
-from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -79,30 +77,3 @@ def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
     ends = np.hstack([x.max(axis=1), -x.min(axis=1)])
     largest = extremes(space.mesh.comm, ends, bodies.of_cell, len(bodies.names), -np.inf)
     return np.add(*np.split(largest, 2, axis=1))
-
-
-def check_different_nodes(
-    contacts: Sequence[Contact], pairings: Sequence[ContactPairing], comm: MPI.Intracomm
-) -> None:
-    """Check that no slave node is in two contacts with the same master surface or obstacle."""
-    # at an edge of the body a node has two conditions, with normals farther apart than this angle
-    edge_angle = 45.0
-    of_master: dict[tuple[int, int], list[ContactPairing]] = {}
-    for contact, pairing in zip(contacts, pairings, strict=True):
-        key = (
-            (id(_compat.cpp_object(contact.facet_tags)), contact.master)
-            if isinstance(contact, ContactPair)
-            else (id(contact.obstacle), 0)
-        )
-        of_master.setdefault(key, []).append(pairing)
-    for several in of_master.values():
-        for a, b in combinations(several, 2):
-            _, rows_a, rows_b = np.intersect1d(a.slave, b.slave, return_indices=True)
-            points = a.coordinates[rows_a, : a.normal.shape[1]]
-            same = angles_between(a.normal[rows_a], b.normal[rows_b]) < edge_angle
-            if bad := first_wrong(comm, same, points):
-                raise InputError(
-                    f"{a.name} and {b.name} match {bad.number} slave nodes twice with the same "
-                    f"master surface or obstacle, the first at {bad.place}: join the two slave "
-                    "surfaces under one tag, or separate them"
-                )

@@ -84,7 +84,9 @@ class Terms:
         """Return the weighted sums (k, q) of values (t, q) at the terms' nodes, over the scale."""
         return self._sums(self.weights[:, None] * values) / self.scale[:, None]
 
-    def rows(self, normal: Vector, gap: Vector, contact: int) -> ContactRows:
+    def rows(
+        self, normal: Vector, gap: Vector, contact: int, area: Vector | None = None
+    ) -> ContactRows:
         """Return conditions of a contact along normals, with gaps of mean displacements [m]."""
         return ContactRows(
             self.offsets,
@@ -93,6 +95,7 @@ class Terms:
             gap * self.scale,
             np.full(self.slaves.size, contact),
             self.slaves,
+            area,
         )
 
     def _sums(self, values: Vector) -> Vector:
@@ -266,7 +269,9 @@ def contact_rows(
 ) -> ContactRows:
     """Return the conditions of all contacts, by default numbered in their order, one by one."""
     contacts = range(len(pairings)) if numbers is None else numbers
-    rows = [p.terms.rows(p.normal, p.gap, k) for p, k in zip(pairings, contacts, strict=True)]
+    rows = [
+        p.terms.rows(p.normal, p.gap, k, p.area) for p, k in zip(pairings, contacts, strict=True)
+    ]
     return ContactRows.concatenate([ContactRows.none(gdim), *rows])
 
 

@@ -15,7 +15,6 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.checks import (
     check_depth,
-    check_different_nodes,
     check_different_surfaces,
 )
 from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
@@ -232,7 +231,7 @@ def match_contacts(
     names: Sequence[str] | None = None,
     displacement: Function | None = None,
 ) -> list[ContactPairing]:
-    """Match the surfaces of all contacts, and check that new ones overlap no others. Collective.
+    """Match the surfaces of all contacts, and check that new ones join no others. Collective.
 
     Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
     displacements of this rank's nodes tell planes of symmetry. By default contacts without a name
@@ -244,8 +243,7 @@ def match_contacts(
     if displacement is not None:
         displacement.x.scatter_forward()
         deformed = boundary.deformed(displacement)
-    has_new = any(id(contact) not in earlier for contact in contacts)
-    if has_new:
+    if any(id(contact) not in earlier for contact in contacts):
         check_different_surfaces(contacts, comm)
     names = names or [contact_name(contact, k) for k, contact in enumerate(contacts)]
     pairs = {
@@ -262,10 +260,7 @@ def match_contacts(
         if isinstance(contact, RigidObstacle):
             last = earlier.get(id(contact))
             found[k] = match_obstacle(boundary, name, contact, last, deformed)
-    pairings = [found[k] for k in range(len(contacts))]
-    if has_new:
-        check_different_nodes(contacts, pairings, comm)
-    return pairings
+    return [found[k] for k in range(len(contacts))]
 
 
 def _unchanged(
