@@ -354,18 +354,18 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 return self._not_exact(geometry, uh, passes[-1])
             self._step = replace(self._step, passes=passes)
             self._save(checkpoint)
-            conditions = self._deformed.with_friction()
+            conditions = self._deformed.with_friction(uh)
 
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
         undeformed = self._torn.undeformed
+        uh = fill_owned(Function(self.space), self._step.displacement)
         if self._is_restored and not undeformed.bodies.frames:
-            uh = fill_owned(Function(self.space), self._step.displacement)
             with self._timer.phase("deformed surfaces"):
                 self._deformed, _ = undeformed.deformed(uh)
         if self._deformed is None or not undeformed.has_same_contacts(self._deformed):
             return undeformed
-        return undeformed.at_conditions_of(self._deformed)
+        return undeformed.at_conditions_of(self._deformed, uh)
 
     def _not_exact(self, geometry: Exact, uh: Function, last: GeometryPass) -> Function:
         reason = (

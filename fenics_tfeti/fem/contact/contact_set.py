@@ -184,11 +184,13 @@ class ContactSet:
         ahead = frame.displacements(frame.ahead(self.bodies.from_here), on.places)
         return on.slave - start + ahead - slid
 
-    def with_friction(self) -> ContactSet:
-        """Return the set with friction evaluated at its conditions. Collective."""
+    def with_friction(self, uh: Function | None = None) -> ContactSet:
+        """Return the set with friction at its conditions, by default undeformed. Collective."""
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
+        boundary = self.boundary if uh is None else self.boundary.deformed(uh)
         contacts = [
-            replace(f, friction=nodal_friction(f.contact, f.pairing, fixed)) for f in self.contacts
+            replace(f, friction=nodal_friction(f.contact, f.pairing, fixed, boundary))
+            for f in self.contacts
         ]
         return replace(self, contacts=contacts)
 
@@ -288,14 +290,17 @@ class ContactSet:
             a.contact is b.contact for a, b in zip(self.contacts, other.contacts, strict=True)
         )
 
-    def at_conditions_of(self, other: ContactSet) -> ContactSet:
-        """Return the set with the conditions of another one for the same contacts. Collective."""
+    def at_conditions_of(self, other: ContactSet, uh: Function) -> ContactSet:
+        """Return the set with the conditions of another one, deformed by uh. Collective.
+
+        That one is for the same contacts.
+        """
         contacts = [
             replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
             for found, earlier in zip(self.contacts, other.contacts, strict=True)
         ]
         bodies = self.bodies.restored(other.bodies.saved())
-        return replace(self, contacts=contacts, bodies=bodies).with_friction()
+        return replace(self, contacts=contacts, bodies=bodies).with_friction(uh)
 
     def dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""

@@ -20,6 +20,7 @@ from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveVal
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, Tresca
 from fenics_tfeti.fem.contact.solution.results import FrictionResult
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in
@@ -94,8 +95,14 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
     return np.stack([first, np.cross(normal, first)], axis=1)
 
 
-def nodal_friction(contact: Contact, pairing: ContactPairing, fixed: Mask) -> NodalFriction | None:
-    """Evaluate the friction of a contact at its conditions; None without friction. Collective."""
+def nodal_friction(
+    contact: Contact, pairing: ContactPairing, fixed: Mask, boundary: MeshBoundary
+) -> NodalFriction | None:
+    """Evaluate the friction of a contact at its conditions; None without friction. Collective.
+
+    The law belongs to the slave's surface and is asked at the undeformed nodes; the displacement of
+    an obstacle where they are on the boundary now.
+    """
     law, surface = contact.friction, pairing.surface
     if law is None:
         return None
@@ -103,7 +110,8 @@ def nodal_friction(contact: Contact, pairing: ContactPairing, fixed: Mask) -> No
     is_tresca = isinstance(law, Tresca)
     moved = np.zeros_like(pairing.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
-        label, x = f"{pairing.name}: the obstacle's displacement", pairing.coordinates
+        label = f"{pairing.name}: the obstacle's displacement"
+        x = pairing.surface.on(boundary).coordinates[pairing.on_surface]
         moved = vectors_at(surface.comm, contact.displacement, x, moved.shape[1], label)
     return NodalFriction(
         tangents(pairing.normal, fixed[surface.local][pairing.on_surface]),

@@ -125,9 +125,12 @@ class RigidObstacle:
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
     displacement : (gdim,) array-like or callable, optional
-        How far the obstacle has moved at each point since the undeformed state [m], for friction:
-        slip is relative to the obstacle. A callable gets x (3, n) and returns (gdim, n). By default
-        the obstacle is at rest. Where it moves along its normal, `obstacle` has to say so too.
+        How far what is at each point of the obstacle has moved since the undeformed state [m], for
+        friction: slip is relative to the obstacle. A callable gets x (3, n), with exact
+        non-penetration and finite strains the deformed places of the slave's nodes, and returns
+        (gdim, n). By default the obstacle is at rest. Where it moves along its normal, `obstacle`
+        has to say so too. An obstacle that turns by a large angle is one on a `body` with a
+        prescribed rotation.
     body : RigidBody, optional
         The rigid body with the shape of `obstacle`, moved by its contacts and loads. By default the
         obstacle is held.

@@ -22,8 +22,9 @@ class Tresca:
     Attributes
     ----------
     slip_bound : float, callable or dolfinx.fem.Function
-        Largest tangential traction [Pa]: a number, a function of x (3, n) [m] that returns (n,), or
-        values at the nodes: a scalar Function of degree 1 on the mesh. With the `measure_weight` of
+        Largest tangential traction [Pa]: a number, a function of the undeformed nodes x (3, n) [m]
+        of the slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the
+        mesh. With the `measure_weight` of
         the problem it becomes the largest nodal force.
 
     Examples
@@ -45,8 +46,8 @@ class Coulomb:
     Attributes
     ----------
     coefficient : float, callable or dolfinx.fem.Function
-        Coefficient of friction: a number, a function of x (3, n) [m] that returns (n,), or values
-        at the nodes: a scalar Function of degree 1 on the mesh.
+        Coefficient of friction: a number, a function of the undeformed nodes x (3, n) [m] of the
+        slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the mesh.
 
     Examples
     --------
