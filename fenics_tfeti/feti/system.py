@@ -324,6 +324,26 @@ class ContactRows:
             coefficients=np.concatenate([self.coefficients, coefficients])[order],
         )
 
+    def with_slave_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:
+        """Return the rows with terms (t,) at nodes of their slaves added to those there are."""
+        row, nodes = np.append(self.row, row), np.append(self.nodes, nodes)
+        coefficients = np.concatenate([self.coefficients, coefficients])
+        on_master = np.append(~self.on_slave, np.zeros(row.size - self.row.size, dtype=bool))
+        order = np.lexsort((nodes, nodes != self.slave[row], on_master, row))
+        row, nodes, on_master = row[order], nodes[order], on_master[order]
+        is_first = np.diff(row, prepend=-1) | np.diff(nodes, prepend=-1) != 0
+        first = np.flatnonzero(is_first)
+        if not first.size:
+            return self
+        row, on_master = row[first], on_master[first]
+        return replace(
+            self,
+            offsets=np.append(0, np.cumsum(np.bincount(row, minlength=self.size))),
+            nodes=nodes[first],
+            coefficients=np.add.reduceat(coefficients[order], first, axis=0),
+            slaves=np.bincount(row[~on_master], minlength=self.size),
+        )
+
     @property
     def size(self) -> int:
         """Number of rows."""

@@ -194,12 +194,15 @@ class ContactSet:
         ]
         return replace(self, contacts=contacts)
 
-    def with_turned_bolts(self, uh: Function) -> ContactSet:
-        """Return the set with the axes of bolts as their cuts have turned them. Collective."""
+    def with_turned_ties(self, uh: Function) -> ContactSet:
+        """Return the set with axes of bolts and gaps of tied surfaces that turn. Collective."""
         nodes, ties = self.boundary.nodes, list(self.ties)
         for k, found in enumerate(ties):
+            pairing = found.pairing
+            if pairing.of_means is not None:
+                turned = pairing.with_turned_gaps(self.boundary.deformed(uh))
+                ties[k] = replace(found, pairing=turned)
             if isinstance(found.tie, BoltPreload) and found.tie.turns:
-                pairing = found.pairing
                 held = np.isin(pairing.nodes, self.prescribed.nodes)
                 points = pairing.coordinates[:, : nodes.components]
                 if bad := first_wrong(nodes.comm, held, points):
@@ -209,7 +212,7 @@ class ContactSet:
                         "turns=True needs a cut whose slave side is free. Leave turns out, or cut "
                         "the shank where nothing is prescribed"
                     )
-                ties[k] = replace(found, pairing=pairing.turned(uh))
+                ties[k] = replace(found, pairing=pairing.with_turned_axis(uh))
         return replace(self, ties=ties)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:

@@ -50,7 +50,7 @@ class DeformedRows:
         """
         before = None if last is None else last.conditions
         conditions = undeformed.deformed(uh, replace(bodies, from_here=True), before)[0]
-        conditions = conditions.with_friction(uh).with_turned_bolts(uh)
+        conditions = conditions.with_friction(uh).with_turned_ties(uh)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
         free = bodies.free_displacements(nodes.total)

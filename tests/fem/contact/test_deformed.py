@@ -200,19 +200,33 @@ def test_gap_of_balls_pole_to_pole(cell):
     assert true_gap(result, slave, partner)[at_pole] == pytest.approx(0.1, abs=1e-14)
 
 
-# -- pairs: normals that stay --------------------------------------------------------------------
+# -- pairs: normals of the user ------------------------------------------------------------------
 
 
 @every_cell
-def test_normals_can_be_kept(cell):
+@pytest.mark.parametrize("partners", [None, "mortar"])
+def test_given_normals_turn_with_the_surface(cell, partners):
+    """Also about themselves, and where they are not those of the facets."""
+    gdim = dimension(cell)
+    Q, motion = turned(2.5, gdim, shift=0.3)
+    given = np.array([0.3, 0.1, -1.0])[[0, 2] if gdim == 2 else slice(None)]
+    matched, result, slave, partner = blocks(cell).deformed(
+        motion, motion, normal=given, partners=partners
+    )
+    np.testing.assert_allclose(result.normal, matched.normal @ Q.T, atol=1e-13)
+    if partners is None:
+        # along the tilted normal between the planes
+        gap = 0.1 * np.linalg.norm(given)
+        np.testing.assert_allclose(true_gap(result, slave, partner), gap, atol=1e-13)
+
+
+@every_cell
+def test_given_normals_follow_facets_that_bend(cell):
     gdim = dimension(cell)
     incline = lifted(lambda x, *y: 0.5 * (x - 1.5))
-    matched, result, slave, partner = blocks(cell).deformed(
-        incline, lambda x: sideways(gdim, 0.2, 0.1)(incline(x)), normal=-np.eye(gdim)[-1]
-    )
-    assert np.array_equal(result.normal, matched.normal)
-    # vertically between the planes
-    np.testing.assert_allclose(true_gap(result, slave, partner), 0.2 - 0.5 * 0.2, atol=1e-14)
+    _, result, _, _ = blocks(cell).deformed(incline, incline, normal=-np.eye(gdim)[-1])
+    expected = (0.5 * np.eye(gdim)[0] - np.eye(gdim)[-1]) / np.sqrt(1.25)
+    np.testing.assert_allclose(result.normal, np.tile(expected, (len(result.normal), 1)), atol=1e-13)
 
 
 # -- obstacles -----------------------------------------------------------------------------------

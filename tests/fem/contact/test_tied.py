@@ -2,14 +2,21 @@
 
 from dataclasses import replace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from mortar_blocks import LOADED, LOWER, PRESSURE, SUPPORTED, UPPER, Blocks
+from moved_blocks import turned
 from scenes import POISSON, YOUNG, fixed, plane
 
+import ufl
 from dolfinx import fem
 
 from fenics_tfeti import InputError, TiedPair
+from fenics_tfeti.fem.contact.conditions.pairing import row_values
+
+COMM = MPI.COMM_WORLD
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]
 
@@ -148,3 +155,81 @@ def test_surfaces_that_are_apart():
 def test_what_is_no_tied_pair():
     with pytest.raises(InputError, match=r"contact 0 is a str; .* TiedPair, .* is expected"):
         solved(blocks("triangle"), tied="upper")
+
+
+# -- surfaces with gaps ----------------------------------------------------------------------------
+
+
+def bent(cell, degree, gap=0.0):
+    """Return blocks that are tied along a wave: coarse facets do not lie on fine ones."""
+    scene = Blocks(cell, 3, 5, degree=degree).scene(COMM)
+    x, up = scene.mesh.geometry.x, scene.gdim - 1
+    x[scene.nodes(2), up] += gap
+    x[:, up] += 0.1 * np.sin(3.0 * x[:, 0]) + 0.05 * np.cos(2.0 * x[:, 1 - up // 2])
+    scene.contacts = [TiedPair(scene.facet_tags, UPPER, LOWER)]
+    return scene
+
+
+@pytest.mark.ranks(1, 2, 3)
+@pytest.mark.parametrize(("cell", "degree"), [*((cell, 1) for cell in CELLS), ("tetrahedron", 2)])
+def test_gaps_leave_rigid_motions_free(cell, degree):
+    """Small rotations of the linear problem, and any with finite strains."""
+    scene = bent(cell, degree, gap=0.02)
+    V, d = scene.V, scene.gdim
+    found = scene.problem(cell_tags=None)._torn.undeformed
+    nodes = found.boundary.nodes
+    rows, x = found.tied_rows(), nodes.coordinates
+    skew = np.arange(d * d, dtype=float).reshape(d, d)
+    spin = x @ (skew - skew.T)
+    # at vertices 5 along a line, of the coarse block 3
+    assert COMM.allreduce(rows.size) == d * 6 ** (d - 1)
+    assert np.abs(rows.gap).max() < 1e-15
+    np.testing.assert_allclose(row_values(nodes, rows, spin) / rows.length, 0.0, atol=1e-14)
+    np.testing.assert_allclose(row_values(nodes, rows, np.ones_like(x)), 0.0, atol=1e-14)
+    uh = fem.Function(V)
+    for angle in (0.5, 3.0):
+        Q, motion = turned(angle, d, shift=0.3)
+        uh.x.array[: x.size] = (motion(x.T).T - x).ravel()
+        uh.x.scatter_forward()
+        now = found.with_turned_ties(uh).tied_rows()
+        left = row_values(nodes, now, uh.x.array[: x.size]) - now.gap
+        np.testing.assert_allclose(left / now.length, 0.0, atol=1e-14)
+        # further rotations, about where the bodies are
+        spin = (x @ Q.T) @ (skew - skew.T)
+        np.testing.assert_allclose(row_values(nodes, now, spin) / now.length, 0.0, atol=1e-13)
+
+
+def test_rows_are_the_derivative_of_turned_gaps():
+    """By finite differences of the condition, at a displacement that strains the surface."""
+    scene = bent("hexahedron", 1, gap=0.02)
+    found = scene.problem(cell_tags=None)._torn.undeformed
+    nodes = found.boundary.nodes
+    x, n = nodes.coordinates, nodes.owned
+    strained = 0.3 * x @ np.arange(9.0).reshape(3, 3) + 0.1 * np.sin(5.0 * x[:, ::-1])
+    step = np.cos(7.0 * x)
+
+    def at(t):
+        uh = fem.Function(scene.V)
+        uh.x.array[: 3 * n] = (strained + t * step).ravel()
+        uh.x.scatter_forward()
+        rows = found.with_turned_ties(uh).tied_rows()
+        return rows, row_values(nodes, rows, uh.x.array[: 3 * n]) - rows.gap
+
+    rows, size = at(0.0)[0], 1e-5
+    change = (at(size)[1] - at(-size)[1]) / (2.0 * size)
+    expected = row_values(nodes, rows, step)
+    np.testing.assert_allclose(change, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_free_tied_body_with_gaps_turns_without_stress():
+    """A block is turned by prescribed displacements; the one tied to it over gaps follows."""
+    scene = bent("triangle", 1)
+    turn = fem.Function(scene.V)
+    turn.interpolate(lambda x: 1e-3 * np.array([-x[1], x[0]]))
+    bottom = fem.locate_dofs_geometrical(
+        scene.V, lambda x: x[1] < 0.2 * np.ones_like(x[1])
+    )
+    scene.bcs = [fem.dirichletbc(turn, bottom)]
+    scene.L = ufl.inner(fem.Constant(scene.mesh, np.zeros(2)), scene.v) * scene.dx
+    uh = scene.problem(cell_tags=None, options={"rtol": 1e-12}).solve()
+    assert np.abs(uh.x.array - turn.x.array).max() < 1e-13

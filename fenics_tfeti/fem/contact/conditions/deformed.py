@@ -26,8 +26,9 @@ from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
+from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, gather_surfaces
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Vector
@@ -54,7 +55,7 @@ def deformed_contacts(
     """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
-    function, unless the user gave it. The gap to a master is along it, see
+    function, or the user's, turned with the facets. The gap to a master is along it, see
     `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
     with raise_collectively(displacement.function_space.mesh.comm):
@@ -97,18 +98,23 @@ def _deformed(
         return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
         return _deformed_mortar(contact, pairing, boundary)
-    return _deformed_pairs(contact, pairing, *surfaces)
+    return _deformed_pairs(contact, pairing, boundary, *surfaces)
 
 
 def _deformed_pairs(
-    contact: ContactPair, pairing: ContactPairing, slave: SurfaceFacets, master: SurfaceFacets
+    contact: ContactPair,
+    pairing: ContactPairing,
+    boundary: MeshBoundary,
+    slave: SurfaceFacets,
+    master: SurfaceFacets,
 ) -> DeformedContact:
     rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
-    normal = pairing.normal
     if contact.normal is None:
         slave.check_not_folded(pairing.name)
         normal = slave.normal[rows]
+    else:
+        normal = _turned_normals(pairing.surface, boundary)[pairing.on_surface]
     distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
     # a partner is kept unless its distance from where the normal meets the master is more than 1.5
     # times that of the nearest node: otherwise the passes could alternate between two nodes
@@ -134,6 +140,8 @@ def _deformed_mortar(
             rows = np.searchsorted(slave.nodes, surface.nodes)
             surface = replace(surface, normal=slave.normal[rows])
         master.check_not_folded(name)
+    if contact.normal is not None:
+        surface = replace(surface, normal=_turned_normals(pairing.surface, boundary))
     shared = np.intersect1d(slave.nodes, master.nodes)
     conditions = match_by_mortar(contact, surface, master, shared, prescribed, pairing.slave)
     check_mortars(conditions, pairing.surface)
@@ -159,6 +167,12 @@ def _deformed_mortar(
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
+
+
+def _turned_normals(surface: Surface, boundary: MeshBoundary) -> Vector:
+    """Return the user's normals (k, gdim) turned with the facets around the nodes. Collective."""
+    rotations = SurfaceRotations.of(surface, boundary)
+    return rotations.turned(surface.normal, np.arange(len(surface.normal)))
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.pairing import row_values
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
@@ -25,10 +26,11 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
     TiedPair,
 )
 from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
+from fenics_tfeti.fem.contact.mortar.facets import cross, facet_normals
 from fenics_tfeti.fem.contact.rigid.frames import are_same
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
+from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations, nearest_rotation
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
@@ -74,6 +76,8 @@ class TiedPairing:
     prescribed: Mask | None = None
     shares: sp.csr_matrix | None = None  # see `mean_traction`
     preload: Preload | None = None  # of bolts
+    # of surfaces with gaps between them the rows of the mean displacements alone
+    of_means: ContactRows | None = None
 
     @property
     def name(self) -> str:
@@ -98,7 +102,7 @@ class TiedPairing:
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
 
-    def turned(self, uh: Function) -> TiedPairing:
+    def with_turned_axis(self, uh: Function) -> TiedPairing:
         """Return the rows of a bolt whose axis has turned with its cut. Collective."""
         assert self.preload is not None
         nodes = self.boundary.nodes
@@ -108,12 +112,8 @@ class TiedPairing:
         places = np.column_stack([start, end, np.ones(len(start))])
         sums = comm.allreduce(np.sum(weight * places, axis=0))
         first, second = np.split(sums[:-1] / sums[-1], 2)
-        # the rotation is fitted to the displacement of the slave's side by least squares
-        product = comm.allreduce((weight * (end - second)).T @ (start - first))
-        left, _, right = np.linalg.svd(product)
-        # a plane cut tells no stretch along its normal: the proper rotation is the one
-        left[:, -1] *= np.linalg.det(left @ right)
-        rotation = left @ right
+        # fitted to the displacement of the slave's side by least squares
+        rotation = nearest_rotation(comm.allreduce((weight * (end - second)).T @ (start - first)))
         turned = self.rows.coefficients.copy()
         # the shortening is along the axis of the undeformed bolt
         in_mesh = self.rows.nodes < nodes.total
@@ -123,6 +123,31 @@ class TiedPairing:
             rows=replace(self.rows, coefficients=turned),
             preload=replace(self.preload, rotation=rotation),
         )
+
+    def with_turned_gaps(self, deformed: MeshBoundary) -> TiedPairing:
+        """Return the rows of surfaces whose gaps turn with the slave's facets. Collective.
+
+        With the mean vectors g from the master to the slave, turned by R, the rows vanish where the
+        surfaces are apart by Rg now. Linearised they leave rigid motions free.
+        """
+        assert self.of_means is not None and self.surface is not None
+        rows, nodes = self.of_means, self.boundary.nodes
+        places = [b.coordinates[: nodes.owned, : nodes.components] for b in (self.boundary, deformed)]
+        direction = rows.normal
+        weights = np.sum(rows.coefficients * direction[rows.row], axis=1)
+        gap = np.zeros_like(direction)
+        np.add.at(gap, rows.row, weights[:, None] * nodes.values_at(places[0], rows.nodes))
+        position = self.surface.rows_of(rows.slave)
+        rotations = SurfaceRotations.of(self.surface, deformed)
+        gap = rotations.turned(gap, position)
+        unused = ((0, 0), (0, 3 - nodes.components))
+        moment = cross(np.pad(direction, unused), np.pad(gap, unused))
+        chosen = np.flatnonzero(moment.any(axis=1))
+        row, corners, coefficients = rotations.terms(moment[chosen], position[chosen])
+        turned = rows.with_slave_terms(chosen[row], corners, coefficients)
+        now = row_values(nodes, rows, places[1]) - np.sum(gap * direction, axis=1)
+        moved = row_values(nodes, turned, places[1] - places[0])
+        return replace(self, rows=replace(turned, gap=moved - now))
 
 
 def rows_of_tie(
@@ -160,7 +185,7 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
     fullest = conditions[int(np.argmax(sizes))]
     check_covered(fullest, slave)
     rows = slave.rows_of(fullest.terms.slave)
-    # farther apart than facets are large, rotations would be held
+    # the rotation of facets says nothing about surfaces that are farther apart than these are large
     distance = np.linalg.norm(fullest.gap, axis=1)
     largest = concatenate_ranks(comm, distance).max(initial=0.0)
     if bad := slave.first_wrong(distance > 0.5 * slave.size[rows], rows):
@@ -194,7 +219,9 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
         for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     rows_of_all = ContactRows.concatenate(components)
-    return TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed, shares)
+    tied = TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed, shares)
+    has_gaps = comm.allreduce(bool(slave.without_rounding(distance, slave.contact[rows]).any()))
+    return replace(tied, of_means=rows_of_all).with_turned_gaps(boundary) if has_gaps else tied
 
 
 def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Surface, Surface]:
