@@ -14,6 +14,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
@@ -23,6 +24,7 @@ from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
 from fenics_tfeti.feti.tangents import has_small_strains
+from fenics_tfeti.feti.tolerances import CERTIFIED
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -31,6 +33,8 @@ Monitor = Callable[[Any], None]
 
 # residual below which steps are mixed: farther off, mixing has led beams astray
 _MIXED_BELOW = 0.05
+# accuracy of the linearised problem of a step with friction, relative to the error before
+_FORCING = 0.03
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 
@@ -49,6 +53,10 @@ class NewtonStep:
         Largest depth of a slave node in its master or obstacle, relative to the displacement.
     separation : float
         Largest distance of a pressing node, relative to the displacement.
+    friction : float
+        By how much friction forces break their law, relative to the forces as the residual: what
+        they are above their bounds, or below them where nodes slip; slips of nodes that stick,
+        relative to the displacement.
     length : float
         Part of the increment that was taken: 1, or less where deformations would change too much.
     active : int
@@ -66,6 +74,7 @@ class NewtonStep:
     residual: float
     penetration: float
     separation: float
+    friction: float
     length: float
     active: int
     products: int
@@ -78,8 +87,8 @@ class NewtonStep:
         mixed = ", mixed" if self.mixed else ""
         return (
             f"residual {self.residual:.1e}, penetration {self.penetration:.1e}, separation "
-            f"{self.separation:.1e}, length {self.length:.2g}{mixed}, {self.active} pressing, "
-            f"{self.products} products"
+            f"{self.separation:.1e}, friction {self.friction:.1e}, length {self.length:.2g}"
+            f"{mixed}, {self.active} pressing, {self.products} products"
         )
 
 
@@ -131,7 +140,7 @@ class LoadStep:
         ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
         if not ratio > 0.0:
             raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
-        rows = DeformedRows.of(self.torn.undeformed, self.u, bodies, self.origin, last)
+        rows = DeformedRows.of(self._conditions(bodies, last), self.u, self.origin)
         if not isinstance(multipliers, Multipliers):
             multipliers = Multipliers.from_forces(rows, multipliers)
         internal = -self.torn.torn.load()
@@ -139,6 +148,13 @@ class LoadStep:
             raise NotConverged("the residual F is NaN or infinite")
         equilibrium = Equilibrium.of(internal, rows, multipliers, displacement, scale)
         return NewtonState(displacement, rows, multipliers, equilibrium)
+
+    def _conditions(self, bodies: RigidBodies, last: DeformedRows | None) -> ContactSet:
+        """Return the conditions of the surfaces deformed by u, near the last ones. Collective."""
+        before = None if last is None else last.conditions
+        here = replace(bodies, from_here=True)
+        conditions = self.torn.undeformed.deformed(self.u, here, before)[0]
+        return conditions.with_friction(self.u).with_turned_ties(self.u)
 
 
 class NewtonIteration:
@@ -213,6 +229,7 @@ class NewtonIteration:
                 new.equilibrium.residual,
                 new.equilibrium.penetration,
                 new.equilibrium.separation,
+                new.equilibrium.friction,
                 length,
                 solution.report.unknowns["active"],
                 solution.report.products["total"],
@@ -248,20 +265,32 @@ class NewtonIteration:
         system = load_step.torn.system_at(
             load_step.u, state.rows, state.multipliers, has_small_strains
         )
-        solution: TornSolution | None = None
+        rtol, solution = self._accuracy(state), None
         with suppress(UnstableTangent):
-            solution = self._solve(prepare_tangents(system, options.tangent), monitor)
+            solution = self._solve(prepare_tangents(system, options.tangent), rtol, monitor)
         if solution is None or (
             not solution.report.converged and solution.report.deflation["negative"]
         ):
             # positive semidefinite
-            solution = self._solve(prepare_tangents(system, "projected"), monitor)
+            solution = self._solve(prepare_tangents(system, "projected"), rtol, monitor)
         parts = load_step.torn.torn.subdomains
         fill_displacement(self._increment, parts, solution.displacements)
         return solution
 
-    def _solve(self, system: TornSystem, monitor: Monitor | None) -> TornSolution:
-        options = replace(self._options.solver, error_if_not_converged=False)
+    def _accuracy(self, state: NewtonState) -> float:
+        """Return the accuracy of the next linearised problem. Collective.
+
+        Newton's method corrects displacements; tangential forces are those of the last linearised
+        problem alone, to which the law of friction is to hold with the accuracy of all steps.
+        """
+        options, friction = self._options, state.rows.friction
+        if not any_rank(self._load_step.torn.nodes.comm, friction.row >= 0):
+            return options.solver.rtol
+        wanted = max(state.equilibrium.error, options.newton_rtol)
+        return min(options.solver.rtol, max(_FORCING * wanted, CERTIFIED))
+
+    def _solve(self, system: TornSystem, rtol: float, monitor: Monitor | None) -> TornSolution:
+        options = replace(self._options.solver, rtol=rtol, error_if_not_converged=False)
         self.solver = TornSolver(system, options, self._timer, self.solver)
         return self.solver.solve(monitor)
 
@@ -298,7 +327,8 @@ class NewtonIteration:
             f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
-            f"displacement; newton_rtol is {self._options.newton_rtol:g}. Halve the load step"
+            f"displacement, law of friction broken by {end.friction:.1e}; newton_rtol is "
+            f"{self._options.newton_rtol:g}. Halve the load step"
         )
 
     def _alternation(self, surface_nodes: Numbers) -> str:

@@ -23,6 +23,7 @@ from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, check_coarse, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
@@ -275,7 +276,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         self._refresh()
         solved = None if coarse is None else self._solved_on(coarse)
         if self.geometry is None:
-            return self._solve_linearised(self._torn.undeformed, solved, monitor)
+            self._solve_linearised(self._torn.undeformed, solved, monitor)
+            return self.u
         return self._solve_exactly(self.geometry, solved, monitor, checkpoint)
 
     def _solved_on(self, coarse: Any) -> list[SolvedContact]:
@@ -297,7 +299,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         conditions: ContactSet,
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
-    ) -> Function:
+    ) -> TornSolution:
+        """Solve with conditions, and store the results."""
         system = self._torn.system(self._step.origin, conditions)
         guess = self._guess(coarse, conditions)
         options = self.options.solver
@@ -311,7 +314,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
             error.solution = self._store_results(error.solution, conditions)
             error.report = self.report
             raise
-        return self._store_results(solution, conditions)
+        self._store_results(solution, conditions)
+        return solution
 
     def _guess(
         self, coarse: list[SolvedContact] | None, conditions: ContactSet
@@ -335,26 +339,38 @@ class ContactProblem(SteppedProblem[ContactReport]):
         conditions, comm = self._first_conditions(), self.space.mesh.comm
         known = self._is_restored and not conditions.bodies.frames
         passes = list(self._step.passes) if known else []
+        # loads on cells of rigid bodies have other moments where these have turned
+        conditions = replace(conditions, bodies=self._torn.loaded(conditions.bodies))
         while True:
             self._step = replace(self._step, passes=passes)
-            # loads on cells of rigid bodies have other moments where these have turned
-            conditions = replace(conditions, bodies=self._torn.loaded(conditions.bodies))
-            uh = self._solve_linearised(conditions, None if passes else coarse, monitor)
-            with self._timer.phase("deformed surfaces"):
-                assert self._solved is not None
-                self._deformed, measured = conditions.deformed(uh, self._solved.bodies)
-            products = self.report.products["total"]
-            new_pass = geometry_pass(measured, self._solved.contacts, uh, products)
+            solution = self._solve_linearised(conditions, None if passes else coarse, monitor)
+            new_pass = self._geometry_pass(conditions, solution)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
             seconds = self._timer.slowest(comm)
             self._report = replace(self.report, passes=passes, seconds=seconds)
             if passes[-1].error <= geometry.tolerance:
-                return uh
+                return self.u
             if len(passes) >= geometry.max_passes:
-                return self._not_exact(geometry, uh, passes[-1])
+                return self._not_exact(geometry, self.u, passes[-1])
             self._step = replace(self._step, passes=passes)
             self._save(checkpoint)
-            conditions = self._deformed.with_friction(uh)
+            assert self._deformed is not None
+            conditions = self._deformed
+
+    def _geometry_pass(self, conditions: ContactSet, solution: TornSolution) -> GeometryPass:
+        """Measure the deformed surfaces, with the conditions for the next pass, and the misfit."""
+        assert self._solved is not None
+        uh, origin, forces = self.u, self._step.origin, (0.0, 0.0)
+        with self._timer.phase("deformed surfaces"):
+            bodies = self._torn.loaded(self._solved.bodies)
+            deformed, measured = conditions.deformed(uh, bodies)
+            self._deformed = deformed.with_friction(uh)
+            if bodies.frames or any(found.friction is not None for found in conditions.contacts):
+                before, now = (DeformedRows.of(c, uh, origin) for c in (conditions, self._deformed))
+                multipliers = Multipliers.of(before, solution)
+                forces = misfit_of_forces(now, multipliers, owned_values(uh))
+        products = self.report.products["total"]
+        return geometry_pass(measured, self._solved.contacts, uh, products, *forces)
 
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
@@ -369,8 +385,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def _not_exact(self, geometry: Exact, uh: Function, last: GeometryPass) -> Function:
         reason = (
-            f"limit of {geometry.max_passes} geometry passes (max_passes): the deformed surfaces "
-            f"penetrate or gape by {last.error:.1e} of the largest displacement"
+            f"limit of {geometry.max_passes} geometry passes (max_passes): the misfit of the "
+            "deformed surfaces (penetration and separation relative to the largest displacement, "
+            f"slip, tilt, imbalance of rigid bodies, friction) is {last.error:.1e}"
         )
         self._report = replace(self.report, converged=False, reason=reason)
         if self.options.solver.error_if_not_converged:

@@ -38,7 +38,7 @@ def blocks():
     bodies.add_obstacle(BASE, Plane((0.0, 0.0), (0.0, 1.0)), body=RigidBody((0.0, 0.0)))
     problem = finite_strains.Scene.of(bodies, u, neo_hookean(1.0, 0.3)(u) * ufl.dx, print).problem
     conditions, origin = problem._torn.undeformed, problem._step.origin
-    return problem, DeformedRows.of(conditions, u, conditions.bodies, origin, None)
+    return problem, DeformedRows.of(conditions, u, origin)
 
 
 @pytest.mark.parametrize(("is_sticking", "turning"), [(False, [PAIR, BODY]), (True, [PAIR])])

@@ -18,7 +18,6 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import owned_values, prescribed_components
 from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
 from fenics_tfeti.fem.nodes import NodeMap
@@ -37,23 +36,14 @@ class DeformedRows:
     tied: ContactRows
 
     @staticmethod
-    def of(
-        undeformed: ContactSet,
-        uh: Function,
-        bodies: RigidBodies,
-        origin: SlipOrigin,
-        last: DeformedRows | None,
-    ) -> DeformedRows:
-        """Measure the surfaces deformed by a displacement, near the last ones. Collective.
+    def of(conditions: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
+        """Return those of conditions of the deformed surfaces. Collective.
 
         Slip is from the origin.
         """
-        before = None if last is None else last.conditions
-        conditions = undeformed.deformed(uh, replace(bodies, from_here=True), before)[0]
-        conditions = conditions.with_friction(uh).with_turned_ties(uh)
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
-        free = bodies.free_displacements(nodes.total)
+        free = conditions.bodies.free_displacements(nodes.total)
         moved = row_values(nodes, contacts, u, free)
         return DeformedRows(
             conditions,
@@ -82,6 +72,34 @@ class DeformedRows:
         """Distances of the surfaces at each row (k,) [m], negative inside."""
         return self.contacts.gap / self.contacts.length
 
+    def excess(self, multipliers: Multipliers, stiffness: float) -> Vector:
+        """Return by how much forces break the law of friction, (k,) at each site [N].
+
+        It is the distance of a tangential force t from the projection of t + stiffness * slip on
+        the disc of the slip bound: what t is above the bound, or away from it where the node slips;
+        slip, times the stiffness [N/m], where the force is below the bound.
+        """
+        friction = self.friction
+        length = self.contacts.length[friction.row]
+        force, bound = length[:, None] * self._tractions(multipliers), self._bounds(multipliers)
+        # in directions without force supports decide the slip
+        slip = np.where(force == 0.0, 0.0, -np.asarray(friction.slip))
+        trial = force + stiffness * slip
+        size = np.linalg.norm(trial, axis=1)
+        share = np.divide(bound, size, out=np.ones_like(size), where=size > bound)
+        return np.linalg.norm(force - share[:, None] * trial, axis=1)
+
+    def _tractions(self, multipliers: Multipliers) -> Vector:
+        """Return the tangential multipliers (k, gdim - 1) along the tangents of each site."""
+        traction = multipliers.tangential[self.place[self.friction.row]]
+        return np.einsum("kta,ka->kt", self.friction.tangents, traction)
+
+    def _bounds(self, multipliers: Multipliers) -> Vector:
+        """Return the slip bounds (k,) of normal forces [N]."""
+        friction, row = self.friction, self.friction.row
+        normal = multipliers.normal[self.place[row]] * self.contacts.length[row]
+        return friction.bound + np.asarray(friction.coefficient) * normal
+
     def turning_force(self, multipliers: Multipliers) -> Vector:
         """Return the normal forces that have `ContactStiffness`, at the nodes as `force`.
 
@@ -105,8 +123,7 @@ class DeformedRows:
         """
         nodes, site = self.conditions.boundary.nodes, self.friction.row
         normal = multipliers.normal[self.place]
-        traction = multipliers.tangential[self.place[site]]
-        tangential = np.einsum("kta,ka->kt", self.friction.tangents, traction).ravel()
+        tangential = self._tractions(multipliers).ravel()
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
         at = np.concatenate([rows.nodes for rows, _ in terms])
@@ -189,13 +206,14 @@ class Equilibrium:
     residual: float  # of F(u) + B'lambda, relative to the largest sum of forces
     penetration: float  # relative to the largest displacement
     separation: float  # distance of pressing nodes, relative to the largest displacement
+    friction: float  # by how much forces break its law, relative as the residual
     force: float  # the size of the forces that the residual is relative to [N]
     place: str  # where the residual is largest
 
     @property
     def error(self) -> float:
-        """The largest of the three measures."""
-        return max(self.residual, self.penetration, self.separation)
+        """The largest of the four measures."""
+        return max(self.residual, self.penetration, self.separation, self.friction)
 
     @staticmethod
     def of(
@@ -232,8 +250,15 @@ class Equilibrium:
         # a load on a body at rest is balanced by nothing yet
         tiny = float(np.finfo(float).tiny)
         force, size = max(least, reaction, pressing) or residual or tiny, size or tiny
+        excess = rows.excess(multipliers, force / size)
+        broken = float(np.sqrt(nodes.comm.allreduce(float(excess @ excess))))
         return Equilibrium(
-            residual / force, penetration / size, separation / size, force, _largest(nodes, r)
+            residual / force,
+            penetration / size,
+            separation / size,
+            broken / force,
+            force,
+            _largest(nodes, r),
         )
 
 
@@ -243,3 +268,24 @@ def _largest(nodes: NodeMap, r: Vector) -> str:
     node = int(size.argmax()) if size.size else -1
     place = format_point(nodes.coordinates[node]) if size.size else ""
     return str(max(nodes.comm.allgather((float(size.max(initial=0.0)), place)))[1])
+
+
+def misfit_of_forces(
+    rows: DeformedRows, multipliers: Multipliers, displacement: Vector
+) -> tuple[float, float]:
+    """Return how far forces are off equilibrium of rigid bodies, and off friction. Collective.
+
+    The first is what acts on the bodies where they are now, the second as of `Equilibrium`. Both
+    are relative to the contact forces and loads of rigid bodies.
+    """
+    nodes, bodies = rows.conditions.boundary.nodes, rows.conditions.bodies
+    contact, on_bodies = rows.force(multipliers)
+    left, loads = (bodies.free_forces(f, nodes.total) for f in (-on_bodies, 0.0 * on_bodies))
+    pressing = np.sqrt(nodes.comm.allreduce(float(np.sum(contact**2))))
+    size = nodes.comm.allreduce(float(np.abs(displacement).max(initial=0.0)), MPI.MAX)
+    force = max(pressing, float(np.linalg.norm(loads)))
+    if not force * size:
+        return 0.0, 0.0
+    excess = rows.excess(multipliers, force / size)
+    broken = np.sqrt(nodes.comm.allreduce(float(excess @ excess)))
+    return float(np.linalg.norm(left)) / force, float(broken) / force

@@ -226,7 +226,9 @@ def test_given_normals_follow_facets_that_bend(cell):
     incline = lifted(lambda x, *y: 0.5 * (x - 1.5))
     _, result, _, _ = blocks(cell).deformed(incline, incline, normal=-np.eye(gdim)[-1])
     expected = (0.5 * np.eye(gdim)[0] - np.eye(gdim)[-1]) / np.sqrt(1.25)
-    np.testing.assert_allclose(result.normal, np.tile(expected, (len(result.normal), 1)), atol=1e-13)
+    np.testing.assert_allclose(
+        result.normal, np.tile(expected, (len(result.normal), 1)), atol=1e-13
+    )
 
 
 # -- obstacles -----------------------------------------------------------------------------------

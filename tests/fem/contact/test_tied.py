@@ -226,9 +226,7 @@ def test_free_tied_body_with_gaps_turns_without_stress():
     scene = bent("triangle", 1)
     turn = fem.Function(scene.V)
     turn.interpolate(lambda x: 1e-3 * np.array([-x[1], x[0]]))
-    bottom = fem.locate_dofs_geometrical(
-        scene.V, lambda x: x[1] < 0.2 * np.ones_like(x[1])
-    )
+    bottom = fem.locate_dofs_geometrical(scene.V, lambda x: x[1] < 0.2 * np.ones_like(x[1]))
     scene.bcs = [fem.dirichletbc(turn, bottom)]
     scene.L = ufl.inner(fem.Constant(scene.mesh, np.zeros(2)), scene.v) * scene.dx
     uh = scene.problem(cell_tags=None, options={"rtol": 1e-12}).solve()

@@ -177,7 +177,7 @@ def _turned_normals(surface: Surface, boundary: MeshBoundary) -> Vector:
 
 @dataclass(frozen=True)
 class GeometryPass:
-    """Misfit between the deformed surfaces and the contact conditions of one solution."""
+    """Misfit between the deformed state and the contact conditions of one solution."""
 
     penetration: float  # largest depth of a slave node in a master or an obstacle [m]
     # largest distance, along the normal, of a loaded slave node from its master or obstacle [m]
@@ -188,7 +188,12 @@ class GeometryPass:
     # angle between contact forces and the deformed normals, root of the mean square with the forces
     # as weights [rad]: the part of the forces that acts along the surfaces
     tilt: float
-    # largest of slip, tilt, and penetration and separation relative to the displacement
+    # forces that are not in equilibrium on rigid bodies where these are now, as of contact forces
+    # whose arms have changed, relative to the contact forces
+    imbalance: float
+    # by how much friction forces break their law with the deformed surfaces, see `NewtonStep`
+    friction: float
+    # largest of these, of penetration and separation relative to the displacement
     error: float
     products: int  # applications of F in the solution
     # wall time, summed over its phases, each the slowest rank's [s]; the first pass has the set-up
@@ -201,6 +206,8 @@ def geometry_pass(
     results: Sequence[ContactResult],
     displacement: Function,
     products: int,
+    imbalance: float = 0.0,
+    friction: float = 0.0,
 ) -> GeometryPass:
     """Compare deformed surfaces with the conditions and forces of a solution. Collective."""
     comm = displacement.function_space.mesh.comm
@@ -219,4 +226,5 @@ def geometry_pass(
     tilt = float(np.sqrt(sums[0] / sums[1])) if sums[1] > 0.0 else 0.0
     penetration, separation, slip, size = largest.tolist()
     error = max(penetration, separation) / size if size > 0.0 else 0.0
-    return GeometryPass(penetration, separation, slip, tilt, max(error, slip, tilt), products)
+    measures = slip, tilt, imbalance, friction
+    return GeometryPass(penetration, separation, *measures, max(error, *measures), products)

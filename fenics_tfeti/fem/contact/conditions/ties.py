@@ -132,11 +132,14 @@ class TiedPairing:
         """
         assert self.of_means is not None and self.surface is not None
         rows, nodes = self.of_means, self.boundary.nodes
-        places = [b.coordinates[: nodes.owned, : nodes.components] for b in (self.boundary, deformed)]
+        before, now = (
+            boundary.coordinates[: nodes.owned, : nodes.components]
+            for boundary in (self.boundary, deformed)
+        )
         direction = rows.normal
         weights = np.sum(rows.coefficients * direction[rows.row], axis=1)
         gap = np.zeros_like(direction)
-        np.add.at(gap, rows.row, weights[:, None] * nodes.values_at(places[0], rows.nodes))
+        np.add.at(gap, rows.row, weights[:, None] * nodes.values_at(before, rows.nodes))
         position = self.surface.rows_of(rows.slave)
         rotations = SurfaceRotations.of(self.surface, deformed)
         gap = rotations.turned(gap, position)
@@ -145,9 +148,9 @@ class TiedPairing:
         chosen = np.flatnonzero(moment.any(axis=1))
         row, corners, coefficients = rotations.terms(moment[chosen], position[chosen])
         turned = rows.with_slave_terms(chosen[row], corners, coefficients)
-        now = row_values(nodes, rows, places[1]) - np.sum(gap * direction, axis=1)
-        moved = row_values(nodes, turned, places[1] - places[0])
-        return replace(self, rows=replace(turned, gap=moved - now))
+        apart = row_values(nodes, rows, now) - np.sum(gap * direction, axis=1)
+        moved = row_values(nodes, turned, now - before)
+        return replace(self, rows=replace(turned, gap=moved - apart))
 
 
 def rows_of_tie(
