@@ -41,6 +41,10 @@ VANISHING_NORMAL = 1e-3
 # Deviation of the length of a user's unit normals from 1.
 UNIT_LENGTH = 1e-6
 
+# Depth in the other body of a node that no mortar condition speaks of, relative to the deformation
+# of the slave's surface, above which it is told.
+VISIBLE_PENETRATION = 0.05
+
 # -- far away ----------------------------------------------------------------------------------
 
 # Gap of an obstacle [m] from which on it counts as infinite: squares of much larger ones overflow.

@@ -110,10 +110,11 @@ def test_tied_blocks():
 @pytest.mark.parametrize("cell", ["hexahedron", "tetrahedron"])
 def test_rim(cell):
     """Facets at nodes beside the foot belong to several ranks; pressures are means over nodes."""
-    here, alone = (
-        by_place(foot_on_table(cell, (8, 6), 0.03, TABLE, comm)) for comm in (COMM, MPI.COMM_SELF)
-    )
+    problems = [foot_on_table(cell, (8, 6), 0.03, TABLE, comm) for comm in (COMM, MPI.COMM_SELF)]
+    here, alone = map(by_place, problems)
     assert alone["coverage"].min() < 0.1
+    depths = [problem.report.contacts[0].penetration for problem in problems]
+    assert 0.0 < depths[0] == pytest.approx(depths[1], rel=1e-5)
     for name in ("coordinates", "area", "normal_force", "coverage", "pressure"):
         scale = np.abs(alone[name]).max()
         np.testing.assert_allclose(here[name], alone[name], rtol=0.0, atol=1e-6 * scale)

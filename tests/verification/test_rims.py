@@ -1,15 +1,19 @@
 """Rims of a contact that lie anywhere in the slave's facets: statics, patch tests, either side."""
 
+import warnings
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
+from msh_files import gmsh_model
 from scenes import Scene, at, dimension
 
 import ufl
 from dolfinx import fem
 
 from fenics_tfeti import Coulomb, NonlinearContactProblem, UnresistedMotion
+from fenics_tfeti.io import read_msh
 from fenics_tfeti.models import neo_hookean
 
 GROUND, LOADED, LOWER, UPPER = 1, 2, 10, 11
@@ -81,7 +85,7 @@ def test_edge_anywhere_in_a_facet(t, degree):
 # -- a stiff foot on a soft table --------------------------------------------------------------
 
 
-def stiff_foot(cell, n, t, ratio=1e3, degree=1):
+def stiff_foot(cell, n, t, ratio=1e3, degree=1, apart=0.0, **of_pair):
     """Return a scene, solved, its depth and the corner: a foot whose edges are at t of a facet."""
     up = dimension(cell) - 1
     low, m = 0.2 - t / n, max(6 * n // 10, 4) + (t > 0.0)
@@ -99,17 +103,18 @@ def stiff_foot(cell, n, t, ratio=1e3, degree=1):
     value[up] = -0.01
     dofs = fem.locate_dofs_topological(scene.V, up, scene.facet_tags.find(LOADED))
     scene.bcs[-1] = fem.dirichletbc(value, dofs, scene.V)
-    scene.add_pair(LOWER, UPPER, partners="mortar", roles="given")
+    scene.mesh.geometry.x[scene.nodes(2), up] += apart
+    scene.add_pair(LOWER, UPPER, partners="mortar", roles="given", **of_pair)
     problem = scene.problem(options={"rtol": 1e-9})
     return scene, problem, problem.solve(), low
 
 
-def sink(scene, uh, low, n):
+def sink(scene, uh, low, n, apart=0.0):
     """Return by how much the foot's corner is below the table there, over the approach."""
     up = scene.gdim - 1
     x = scene.V.tabulate_dof_coordinates()[:, : up + 1]
     u = uh.x.array.reshape(-1, up + 1)[:, up]
-    corner = np.append(np.full(up, low), 0.5)
+    corner = np.append(np.full(up, low), 0.5 + apart)
     foot = u[np.linalg.norm(x - corner, axis=1) < 1e-9].min()
     first = np.floor(low * n + 1e-9)
     a, table = low * n - first, 0.0
@@ -153,6 +158,35 @@ def test_corner_with_displacements_of_degree_2():
     assert 0.0 < sink(scene, uh, low, 10) < 0.025
 
 
+@pytest.mark.parametrize(
+    ("apart", "initial_gap"), [(0.0, "geometric"), (0.0, "touching"), (0.02, 0.0)]
+)
+@pytest.mark.parametrize(("t", "degree"), [(0.0, 1), (0.09, 1), (0.5, 1), (0.5, 2)])
+def test_corner_in_the_other_body_is_told(t, degree, apart, initial_gap):
+    """A strip of 0.09 of a facet has no condition of its own; those of degree 2 are of means."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        scene, problem, uh, low = stiff_foot(
+            "quadrilateral", 10, t, degree=degree, apart=apart, initial_gap=initial_gap
+        )
+    told = [str(w.message) for w in found if "is inside the other body" in str(w.message)]
+    depth = problem.report.contacts[0].penetration
+    if degree == 1:
+        # the depth is perpendicular to the table's facet, which is inclined
+        corner = 0.01 * sink(scene, uh, low, 10, apart)
+        # over an initial gap the point opposite is a little farther along an inclined table
+        rounding = 1e-9 + 2e-3 * apart
+        assert depth == pytest.approx(corner, rel=0.1, abs=rounding)
+    if t == 0.09 or degree == 2:
+        assert depth > 2e-4
+        assert len(told) == 1
+        y = f"{0.5 + apart:.3g})"
+        assert any(f"a node at ({x:.3g}, {y}" in told[0] for x in (low, 1.0 - low))
+    else:
+        assert depth <= rounding
+        assert not told
+
+
 # -- patch test with two masters ---------------------------------------------------------------
 
 
@@ -186,6 +220,63 @@ def test_joint_of_two_masters_anywhere_in_the_facets(cell, joint):
         np.testing.assert_allclose(contact.pressure, 1.0, rtol=1e-8)
         # also without the means
         np.testing.assert_allclose(contact.normal_force / contact.area, 1.0, rtol=1e-7)
+
+
+# -- meshes of gmsh --------------------------------------------------------------------------------
+
+
+def foot_of_tetrahedra(path, size, low, width):
+    """Mesh a block on a table of 1 m."""
+    with gmsh_model(path, 3) as gmsh:
+        occ = gmsh.model.occ
+        bodies = occ.addBox(0, 0, 0, 1, 1, 1), occ.addBox(low, low, 1, width, width, 1)
+        occ.synchronize()
+        faces = [(0, 0.0, GROUND), (0, 1.0, LOWER), (1, 1.0, UPPER), (1, 2.0, LOADED)]
+        for body, height, tag in faces:
+            found = [
+                face
+                for _, face in gmsh.model.getBoundary([(3, bodies[body])], oriented=False)
+                if abs(occ.getCenterOfMass(2, face)[2] - height) < 1e-9
+            ]
+            gmsh.model.addPhysicalGroup(2, found, tag)
+        for number, body in enumerate(bodies, 1):
+            gmsh.model.addPhysicalGroup(3, [body], number)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    return read_msh(path, MPI.COMM_SELF)
+
+
+@pytest.mark.parametrize(
+    ("size", "low", "width"),
+    [
+        (0.25, 0.2, 0.6),
+        *(
+            pytest.param(*case, marks=pytest.mark.heavy)
+            for case in [
+                (0.25, 0.23, 0.5),
+                (0.2, 0.2, 0.6),
+                (0.2, 0.17, 0.55),
+                (0.15, 0.2, 0.6),
+                (0.15, 0.26, 0.45),
+                (0.12, 0.2, 0.6),
+            ]
+        ),
+    ],
+)
+def test_largest_pressure_on_meshes_of_tetrahedra(tmp_path, size, low, width):
+    """Table nodes beside the block are covered by any small part; 17,000 times as much once."""
+    bodies = foot_of_tetrahedra(str(tmp_path / "foot.msh"), size, low, width)
+    largest, products = [], []
+    for slave in (LOWER, UPPER):
+        scene = Scene.of(bodies)
+        scene.add_load(LOADED, -1e6)
+        scene.fix(GROUND)
+        scene.add_pair(slave, LOWER + UPPER - slave, roles="given")
+        problem = scene.problem()
+        problem.solve()
+        largest.append(problem.results[0].pressure.max())
+        products.append(problem.report.products["total"])
+    assert 0.7 < largest[0] / largest[1] < 1.3
+    assert products[0] <= 1.6 * products[1]
 
 
 # -- finite sliding ----------------------------------------------------------------------------

@@ -40,6 +40,9 @@ class ContactEntry(ContactForces):
     roles : str or None
         Whether slave and master were exchanged, and why, or why not; None where the given ones are
         good.
+    penetration : float or None
+        Of mortar conditions the largest depth in the other body, after the solve, of slave nodes
+        without a condition and of nodes at the border of the master's surface [m].
     tension, shortening : float or None
         Of a bolt: force in the shank along its axis [N], and by how much it is shortened [m].
     """
@@ -47,6 +50,7 @@ class ContactEntry(ContactForces):
     pairing: dict[str, Any]
     roles_ratio: float | None = None
     roles: str | None = None
+    penetration: float | None = None
     tension: float | None = None
     shortening: float | None = None
 

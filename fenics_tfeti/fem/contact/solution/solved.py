@@ -15,7 +15,9 @@ from fenics_tfeti.fem.contact.conditions.pairing import (
     row_values,
 )
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
+from fenics_tfeti.fem.contact.solution.penetration import measured_penetration
 from fenics_tfeti.fem.contact.solution.results import (
     BoltResult,
     ContactEntry,
@@ -55,8 +57,9 @@ class SolvedContacts:
                 frame = bodies.frame_of(f.body)
                 moved = frame.displacements(frame.motion, f.on_body.places)
                 opening[own] += np.sum(f.pairing.normal * moved, axis=1)
+        uh.x.scatter_forward()
         contacts = [
-            _contact_result(conditions, f, solution, opening, *of_contact)
+            _contact_result(conditions, f, solution, uh, opening, *of_contact)
             for f, *of_contact in zip(found, conditions.positions, sites, strict=True)
         ]
         rows_of_ties = consecutive([tie.pairing.rows.size for tie in conditions.ties])
@@ -107,17 +110,21 @@ def _contact_result(
     conditions: ContactSet,
     found: FoundContact,
     solution: TornSolution,
+    uh: Function,
     opening: Vector,
     rows: Numbers,
     sites: Numbers,
 ) -> ContactResult:
     pairing, friction = found.pairing, found.friction
-    force = solution.normal_force[rows]
+    force, contact, penetration = solution.normal_force[rows], found.contact, None
+    if isinstance(contact, ContactPair) and pairing.is_mortar:
+        penetration = measured_penetration(contact, found.undeformed, pairing.slave, uh)
     entry = ContactEntry(
         **vars(solution.report.contacts[found.number]),
         pairing=found.undeformed.summary,
         roles_ratio=found.roles.ratio,
         roles=found.roles.reason,
+        penetration=penetration,
     )
     return ContactResult(
         pairing.name,
