@@ -25,6 +25,7 @@ from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.feti.tolerances import CERTIFIED
+from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -101,11 +102,17 @@ class NewtonState:
     rows: DeformedRows
     multipliers: Multipliers
     equilibrium: Equilibrium
+    internal: Vector  # (owned, gdim): internal forces less loads at the mesh's nodes [N]
 
     @property
     def bodies(self) -> RigidBodies:
         """The rigid bodies where they are."""
         return self.rows.conditions.bodies
+
+    def solution(self, last: TornSolution) -> TornSolution:
+        """Return the solution of the step that led here with the forces here. Collective."""
+        u = self.displacement[: self.internal.size].reshape(self.internal.shape)
+        return solution_at(self.rows, self.multipliers, self.internal, u, last)
 
 
 @dataclass(frozen=True)
@@ -147,7 +154,7 @@ class LoadStep:
         if any_rank(self.torn.nodes.comm, ~np.isfinite(internal)):
             raise NotConverged("the residual F is NaN or infinite")
         equilibrium = Equilibrium.of(internal, rows, multipliers, displacement, scale)
-        return NewtonState(displacement, rows, multipliers, equilibrium)
+        return NewtonState(displacement, rows, multipliers, equilibrium, internal)
 
     def _conditions(self, bodies: RigidBodies, last: DeformedRows | None) -> ContactSet:
         """Return the conditions of the surfaces deformed by u, near the last ones. Collective."""

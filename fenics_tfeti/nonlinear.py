@@ -40,7 +40,8 @@ class NonlinearReport(ContactReport):
     ----------
     newton : list of NewtonStep
         One entry for each Newton step; products, history and certificate of the report are those of
-        the last one, its seconds those of all.
+        the last one, its seconds those of all. Forces are those after the last step, in equilibrium
+        with `u` as far as its residual says.
     """
 
     newton: list[NewtonStep] = field(default_factory=list)
@@ -196,15 +197,14 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
-            state = load_step.state_at(start, self._step.force, ForceScale(), bodies)
+            first = load_step.state_at(start, self._step.force, ForceScale(), bodies)
         except NotConverged as error:
             raise InputError(f"u cannot be the start of Newton's method: {error}") from None
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
         try:
-            for state_after in iteration.run(state, monitor):
-                conditions, steps = state.rows.conditions, list(iteration.steps)
-                self._store(iteration.solution, conditions, state_after.bodies, newton=steps)
-                state = state_after
+            for state in iteration.run(first, monitor):
+                solution, conditions = state.solution(iteration.solution), state.rows.conditions
+                self._store(solution, conditions, state.bodies, newton=list(iteration.steps))
                 self._step = replace(
                     self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
                 )

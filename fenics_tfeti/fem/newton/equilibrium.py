@@ -81,7 +81,7 @@ class DeformedRows:
         """
         friction = self.friction
         length = self.contacts.length[friction.row]
-        force, bound = length[:, None] * self._tractions(multipliers), self._bounds(multipliers)
+        force, bound = length[:, None] * self.tractions(multipliers), self.slip_bounds(multipliers)
         # in directions without force supports decide the slip
         slip = np.where(force == 0.0, 0.0, -np.asarray(friction.slip))
         trial = force + stiffness * slip
@@ -89,12 +89,12 @@ class DeformedRows:
         share = np.divide(bound, size, out=np.ones_like(size), where=size > bound)
         return np.linalg.norm(force - share[:, None] * trial, axis=1)
 
-    def _tractions(self, multipliers: Multipliers) -> Vector:
+    def tractions(self, multipliers: Multipliers) -> Vector:
         """Return the tangential multipliers (k, gdim - 1) along the tangents of each site."""
         traction = multipliers.tangential[self.place[self.friction.row]]
         return np.einsum("kta,ka->kt", self.friction.tangents, traction)
 
-    def _bounds(self, multipliers: Multipliers) -> Vector:
+    def slip_bounds(self, multipliers: Multipliers) -> Vector:
         """Return the slip bounds (k,) of normal forces [N]."""
         friction, row = self.friction, self.friction.row
         normal = multipliers.normal[self.place[row]] * self.contacts.length[row]
@@ -123,7 +123,7 @@ class DeformedRows:
         """
         nodes, site = self.conditions.boundary.nodes, self.friction.row
         normal = multipliers.normal[self.place]
-        tangential = self._tractions(multipliers).ravel()
+        tangential = self.tractions(multipliers).ravel()
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
         at = np.concatenate([rows.nodes for rows, _ in terms])
@@ -249,8 +249,9 @@ class Equilibrium:
         least = max(scale.force, scale.stiffness * size)
         # a load on a body at rest is balanced by nothing yet
         tiny = float(np.finfo(float).tiny)
-        force, size = max(least, reaction, pressing) or residual or tiny, size or tiny
-        excess = rows.excess(multipliers, force / size)
+        force = max(least, reaction, pressing) or residual or tiny
+        excess = rows.excess(multipliers, force / size if size else 0.0)
+        size = size or tiny
         broken = float(np.sqrt(nodes.comm.allreduce(float(excess @ excess))))
         return Equilibrium(
             residual / force,

@@ -10,7 +10,10 @@ rows have no entry at prescribed components. Gluing rows add nothing to the sum.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from mpi4py.MPI import Comm
 
 import numpy as np
 
@@ -19,7 +22,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.solution.setup import LocalSetup
 from fenics_tfeti.feti.solution.states import ContactData
-from fenics_tfeti.feti.system import ContactRows, TornSystem
+from fenics_tfeti.feti.system import ContactRows, Friction, TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, count_over_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
@@ -100,7 +103,7 @@ class _NodalForces:
         """Return the sums of forces, of moments, and of the magnitudes of forces."""
         acting = self.forces.any(axis=1)
         points, forces = self.points[acting], self.forces[acting]
-        moment = _moments(points, forces).sum(axis=0)
+        moment = moments(points, forces).sum(axis=0)
         return np.concatenate([forces.sum(axis=0), moment, [_size(forces)]])
 
 
@@ -138,7 +141,7 @@ def resultants(
     """
     gdim, comm, unknowns = system.gdim, system.comm, local.unknowns
     friction_force = tangential_forces(F.constraints, data, multipliers)
-    forces = _contact_forces(system, F.constraints, multipliers, friction_force)
+    forces = _row_forces(system, F.constraints, multipliers, friction_force)
     rows = forces.rows
     x = system.coordinates
     loads = unknowns.without_ground(data.load).reshape(-1, gdim)
@@ -157,13 +160,13 @@ def resultants(
     sums = comm.allreduce(np.array([part.sums() for part in external]))
 
     contacts = max(len(system.contact_names), count_over_ranks(comm, rows.contact))
-    normal_sums = comm.allreduce(forces.normal_sums(system.contacts, contacts))
     friction = F.constraints.friction
     work_of_rows = np.sum(friction_force * friction.given(slips / friction.scale[:, None]), axis=1)
     contact = system.contacts.contact[system.friction.row]
-    work = comm.allreduce(np.bincount(contact, work_of_rows, contacts).astype(np.float64))
+    work = np.bincount(contact, work_of_rows, contacts).astype(np.float64)
     points = _points(system, x, F, unknowns, rows.nodes)
-    sides = comm.allreduce(forces.sums_of_sides(points, contacts))
+    contact_names = [system.contact_name(i) for i in range(contacts)]
+    of_contacts = forces.of_contacts(system.contacts, contact_names, points, work, comm)
     # what a row exerts in all is a force from outside: that of an obstacle
     obstacle = np.zeros((rows.size, gdim))
     np.add.at(obstacle, rows.row, forces.terms)
@@ -176,35 +179,62 @@ def resultants(
         Resultant(name, row[:gdim].tolist(), row[gdim:-1].tolist())
         for name, row in zip(names, sums, strict=True)
     )
-    contact_forces = [
-        ContactForces(
-            system.contact_name(i),
-            float(normal_sums[i]),
-            force=slave[:gdim],
-            moment=slave[gdim:],
-            force_on_master=master[:gdim],
-            moment_on_master=master[gdim:],
-            friction_work=float(work[i]),
-        )
-        for i, (slave, master) in enumerate(sides.transpose(1, 0, 2).tolist())
-    ]
     return Resultants(
         load_sum,
         support_sums,
         spring_sum,
-        contact_forces,
+        of_contacts,
         missing / largest if largest > 0.0 else 0.0,
     )
 
 
 @dataclass(frozen=True)
-class _RowForces:
+class RowForces:
     """The forces (terms, gdim) that contact, tied and tangential rows exert at their nodes."""
 
-    rows: ContactRows
+    rows: ContactRows  # those of contacts come first
     terms: Vector
 
-    def normal_sums(self, contacts: ContactRows, number: int) -> Vector:
+    @staticmethod
+    def of(
+        contacts: ContactRows,
+        tied: ContactRows,
+        friction: Friction,
+        forces: Sequence[Vector],
+        unknowns: Numbers,
+    ) -> RowForces:
+        """Return those of normal, tied and tangential forces; none at nodes that are unknowns."""
+        rows = ContactRows.concatenate([contacts, tied, friction.tangential_rows(contacts)])
+        factor = -(np.concatenate([part.ravel() for part in forces]) / rows.length)[rows.row]
+        factor[np.isin(rows.nodes, unknowns)] = 0.0
+        return RowForces(rows, factor[:, None] * rows.coefficients)
+
+    def of_contacts(
+        self, contacts: ContactRows, names: Sequence[str], points: Vector, work: Vector, comm: Comm
+    ) -> list[ContactForces]:
+        """Return the sums of each contact and tied pair, by number. Collective.
+
+        The points (terms, gdim) are those of the nodes, the work (contacts,) this rank's part.
+        """
+        normal_sums = comm.allreduce(self._normal_sums(contacts, len(names)))
+        sides = comm.allreduce(self._sums_of_sides(points, len(names)))
+        gdim, work = points.shape[1], comm.allreduce(work)
+        return [
+            ContactForces(
+                name,
+                float(normal_sums[i]),
+                force=slave[:gdim],
+                moment=slave[gdim:],
+                force_on_master=master[:gdim],
+                moment_on_master=master[gdim:],
+                friction_work=float(work[i]),
+            )
+            for i, (name, (slave, master)) in enumerate(
+                zip(names, sides.transpose(1, 0, 2).tolist(), strict=True)
+            )
+        ]
+
+    def _normal_sums(self, contacts: ContactRows, number: int) -> Vector:
         """Return the sum of the normal forces of each contact; the contact rows come first."""
         slave = np.zeros((self.rows.size, self.terms.shape[1]))
         np.add.at(slave, self.rows.row[self.rows.on_slave], self.terms[self.rows.on_slave])
@@ -212,31 +242,27 @@ class _RowForces:
         sums = np.bincount(contacts.contact, weights=pressing, minlength=number)
         return sums.astype(np.float64)
 
-    def sums_of_sides(self, x: Vector, number: int) -> Vector:
+    def _sums_of_sides(self, x: Vector, number: int) -> Vector:
         """Return the sums of forces and moments on slaves and on masters, (2, contacts, ...)."""
         side = (~self.rows.on_slave).astype(np.int64)
-        columns = np.column_stack([self.terms, _moments(x, self.terms)])
+        columns = np.column_stack([self.terms, moments(x, self.terms)])
         sums = np.zeros((2, number, columns.shape[1]))
         np.add.at(sums, (side, self.rows.contact[self.rows.row]), columns)
         return sums
 
 
-def _contact_forces(
+def _row_forces(
     system: TornSystem, constraints: Constraints, multipliers: Vector, friction_force: Vector
-) -> _RowForces:
+) -> RowForces:
     """Return the forces of all rows that this rank gave at their nodes. Collective."""
-    tangential = system.friction.tangential_rows(system.contacts)
-    rows = ContactRows.concatenate([system.contacts, system.tied, tangential])
     forces = [
         constraints.contacts.forces(multipliers),
         constraints.tied.forces(multipliers),
-        friction_force.ravel(),
+        friction_force,
     ]
-    factor = -(np.concatenate(forces) / rows.length)[rows.row]
     internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
     unknowns = concatenate_ranks(system.comm, system.nodes[internal])
-    factor[np.isin(rows.nodes, unknowns)] = 0.0
-    return _RowForces(rows, factor[:, None] * rows.coefficients)
+    return RowForces.of(system.contacts, system.tied, system.friction, forces, unknowns)
 
 
 def _points(
@@ -261,7 +287,7 @@ def _condition_names(system: TornSystem, conditions: int) -> list[str]:
     return [*system.condition_names, *(f"Dirichlet condition {i}" for i in unnamed)]
 
 
-def _moments(points: Vector, forces: Vector) -> Vector:
+def moments(points: Vector, forces: Vector) -> Vector:
     """Return the moments (k, 3) of forces about the origin, or (k, 1) in two dimensions."""
     if points.shape[1] == 3:
         return np.cross(points, forces)
