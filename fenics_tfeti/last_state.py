@@ -39,7 +39,8 @@ def solution_at(
     unknowns = np.setdiff1d(beyond[beyond >= nodes.total], _corners(rows)[0])
     forces = RowForces.of(rows.contacts, rows.tied, friction, (normal, tied, tangential), unknowns)
     contact = rows.contacts.contact[friction.row]
-    work = np.bincount(contact, np.sum(tangential * slip, axis=1), len(conditions.names))
+    work = np.zeros(len(conditions.names))
+    np.add.at(work, contact, np.sum(tangential * slip, axis=1))
     points = _points(rows, x, forces.rows.nodes)
     contacts = forces.of_contacts(rows.contacts, conditions.names, points, work, nodes.comm)
     supports = internal + rows.force(multipliers)[0]

@@ -329,13 +329,18 @@ class NewtonIteration:
                     ) from None
 
     def _not_converged(self, state: NewtonState) -> str:
-        end = state.equilibrium
+        end, report = state.equilibrium, self.solution.report
+        unfinished = (
+            ""
+            if report.converged
+            else f", and the last linearised problem is not solved: {report.reason}"
+        )
         return self._alternation(state.rows.surface_nodes) + (
             f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement, law of friction broken by {end.friction:.1e}; newton_rtol is "
-            f"{self._options.newton_rtol:g}. Halve the load step"
+            f"{self._options.newton_rtol:g}{unfinished}. Halve the load step"
         )
 
     def _alternation(self, surface_nodes: Numbers) -> str:

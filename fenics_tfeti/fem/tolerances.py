@@ -45,6 +45,10 @@ UNIT_LENGTH = 1e-6
 # of the slave's surface, above which it is told.
 VISIBLE_PENETRATION = 0.05
 
+# Difference between the gradient of a user's gap and the unit normal, 12 degrees, or a gap that is a
+# fifth off the distance: forces act in another direction than the surface has.
+NOT_GRADIENT = 0.2
+
 # -- far away ----------------------------------------------------------------------------------
 
 # Gap of an obstacle [m] from which on it counts as infinite: squares of much larger ones overflow.

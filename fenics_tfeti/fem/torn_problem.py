@@ -163,10 +163,13 @@ class TornProblem:
         subdomains = self.torn.assemble()
         stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
         for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
+            x = s.coordinates + values[self.nodes.to_local(s.nodes)]
+            deformed = replace(s, coordinates=x)
             if not has_small_strains(s):
-                x = s.coordinates + values[self.nodes.to_local(s.nodes)]
-                deformed = replace(s, coordinates=x)
                 subdomains[i] = deformed if K is None else with_contact_stiffness(deformed, K)
+            elif has_small_strains(deformed):
+                # one that was only shifted; its neighbours are where they are deformed
+                subdomains[i] = deformed
         subdomains += rows.conditions.added_subdomains(self.bodies.deformable)
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]

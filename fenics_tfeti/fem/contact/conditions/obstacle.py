@@ -5,7 +5,10 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
+
+from mpi4py import MPI
 
 import numpy as np
 
@@ -13,16 +16,25 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
+from fenics_tfeti.fem.contact.descriptions.shapes import (
+    Cylinder,
+    FacetedObstacle,
+    Obstacle,
+    Plane,
+    Sphere,
+)
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.fem.tolerances import NO_OBSTACLE, UNIT_LENGTH
+from fenics_tfeti.fem.tolerances import NO_OBSTACLE, NOT_GRADIENT, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
 from fenics_tfeti.typing import Vector
+
+# step of the differences by which gradients of gaps are found, relative to the facets' edges
+_STEP = 1e-4
 
 
 def match_obstacle(
@@ -71,6 +83,8 @@ def match_obstacle(
     else:
         whole = slave.on(deformed).gathered()
         normal, gap, facing = deformed_gaps(slave, contact, whole, terms)
+    if earlier is None:
+        _warn_of_normals(slave, contact.obstacle, deformed or boundary)
     of_rows, angle = slave.contact[rows], angles_between(facing, normal)
     gap = slave.without_rounding(gap, of_rows)
     (summary,) = pairing_summaries(
@@ -78,6 +92,40 @@ def match_obstacle(
     )
     coverage = np.ones_like(gap)
     return ContactPairing(terms, normal, gap, area, summary, slave, covered, coverage)
+
+
+def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary) -> None:
+    """Warn if a user's normal is not the gradient of the gap where that is least. Collective.
+
+    Of the differences forwards and backwards the better one counts: the gap may have kinks.
+    """
+    if isinstance(obstacle, Plane | Sphere | Cylinder | FacetedObstacle):
+        return
+    places, facing = slave.on(boundary).coordinates, slave.normal
+    difference, gap = np.zeros_like(facing), np.full(len(places), np.inf)
+    with suppress(InputError):
+        # what may fail beside the surface alone says nothing
+        gap, outward = _evaluate_obstacle(obstacle, places, facing, slave.names[0])
+        for axis, values in enumerate(difference.T):
+            step = np.zeros_like(places)
+            step[:, axis] = _STEP * slave.size
+            slopes = [
+                (_evaluate_obstacle(obstacle, places + x, facing, slave.names[0])[0] - gap)
+                / x[:, axis]
+                for x in (step, -step)
+            ]
+            values[:] = np.abs(slopes - outward[:, axis]).min(axis=0)
+    least = slave.comm.allreduce(gap.min(initial=np.inf), MPI.MIN)
+    with np.errstate(invalid="ignore"):
+        wrong = (gap - least <= slave.size) & (np.linalg.norm(difference, axis=1) > NOT_GRADIENT)
+    messages = []
+    if bad := slave.first_wrong(wrong):
+        messages = [
+            f"{slave.names[0]}: the obstacle's normal is not the gradient of its gap at "
+            f"{bad.number} nodes, the first at {bad.place}. Forces act along the normal, by which "
+            "the gap is to change as fast as the body moves: return the distance along it"
+        ]
+    warn_on_first_rank(slave.comm, *messages)
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

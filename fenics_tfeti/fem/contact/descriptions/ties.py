@@ -66,7 +66,7 @@ class PeriodicPair(SurfacePair):
     translation : (gdim,) array-like, optional
         t [m]; by default 0.
     rotation : (gdim, gdim) array-like, optional
-        Q, an orthogonal matrix; by default there is no rotation.
+        Q, an orthogonal matrix with det Q = 1; by default there is no rotation.
     jump : (gdim,) array-like or callable, optional
         c [m]; a callable gets x' (3, n) and returns (gdim, n). By default 0.
     name : str
@@ -239,6 +239,11 @@ def _check_rotation(rotation: ArrayLike, label: str) -> None:
         raise InputError(f"{label}: the rotation has shape {Q.shape}, expected (gdim, gdim)")
     if np.abs(Q @ Q.T - np.identity(len(Q))).max() > RELATIVE_ROUNDING:
         raise InputError(f"{label}: the rotation is no orthogonal matrix: Q Q' is not the identity")
+    if np.linalg.det(Q) < 0.0:
+        raise InputError(
+            f"{label}: the rotation is a reflection, with det Q = -1: a surface that is the mirror "
+            "image of another one does not follow it. Give a matrix with det Q = 1"
+        )
 
 
 def _as_numbers(values: Any, what: str) -> Vector:
