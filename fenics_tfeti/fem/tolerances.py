@@ -45,8 +45,8 @@ UNIT_LENGTH = 1e-6
 # of the slave's surface, above which it is told.
 VISIBLE_PENETRATION = 0.05
 
-# Difference between the gradient of a user's gap and the unit normal, 12 degrees, or a gap that is a
-# fifth off the distance: forces act in another direction than the surface has.
+# Sine of the angle between the gradient of a user's gap and the normal, above which there is a
+# warning: 12 degrees.
 NOT_GRADIENT = 0.2
 
 # -- far away ----------------------------------------------------------------------------------

@@ -160,6 +160,7 @@ PAIR = SQUARE.contacts[0]
     [
         ({"translation": "x"}, "the translation is 'x'"),
         ({"rotation": [1.0, 0.0]}, r"the rotation has shape \(2,\)"),
+        ({"rotation": [[-1.0, 0.0], [0.0, 1.0]]}, "the rotation is a reflection"),
         ({"jump": 0.1}, "the jump is 0.1"),
     ],
 )

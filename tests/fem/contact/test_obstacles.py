@@ -1,5 +1,6 @@
 """Rigid obstacles: distances and normals against what they are by hand."""
 
+import warnings
 from xml.etree import ElementTree
 
 from mpi4py import MPI
@@ -240,3 +241,31 @@ def test_punch_with_exact_non_penetration():
     exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, **arguments)
     _, uh = pressed_on_a_punch(lambda x: np.where(x[0] < 0.6, x[1], np.inf), WHOLE, **arguments)
     np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-6 * 1e-5)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_normal_that_is_not_the_gradient_of_its_gap(exact):
+    """A plane with a slope of a half, whose normal is that of a level one."""
+    plane = Plane((0.0, -0.6), (-0.5, 1.0))
+
+    def level(x):
+        return plane(x)[0], np.repeat([[0.0], [1.0]], x.shape[1], axis=1)
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        matched(level if not exact else lambda x: plane(x))
+    told = [
+        str(w.message) for w in caught if "not the gradient of its gap at 3 nodes" in str(w.message)
+    ]
+    assert len(told) == (0 if exact else 1)
+
+
+def test_gap_with_a_kink_has_a_gradient_on_each_side():
+    def wedge(x):
+        rises = x[0] >= 0.5
+        normal = np.array([np.where(rises, -0.6, 0.6), np.full(x.shape[1], 0.8)])
+        return 0.8 * (x[1] + 0.3) + 0.6 * np.abs(x[0] - 0.5) * -1.0, normal
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        matched(wedge)

@@ -101,7 +101,7 @@ def nodal_friction(
     """Evaluate the friction of a contact at its conditions; None without friction. Collective.
 
     The law belongs to the slave's surface and is asked at the undeformed nodes; the displacement of
-    an obstacle where they are on the boundary now.
+    an obstacle where they are on the boundary now, for degree 2 in the mean around them.
     """
     law, surface = contact.friction, pairing.surface
     if law is None:
@@ -111,7 +111,7 @@ def nodal_friction(
     moved = np.zeros_like(pairing.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
         label = f"{pairing.name}: the obstacle's displacement"
-        x = pairing.surface.on(boundary).coordinates[pairing.on_surface]
+        x = pairing.relative(boundary.coordinates)
         moved = vectors_at(surface.comm, contact.displacement, x, moved.shape[1], label)
     return NodalFriction(
         tangents(pairing.normal, fixed[surface.local][pairing.on_surface]),

@@ -25,6 +25,7 @@ from fenics_tfeti.fem.contact.descriptions.shapes import (
 )
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
+from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.messages import first_wrong
@@ -95,35 +96,40 @@ def match_obstacle(
 
 
 def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary) -> None:
-    """Warn if a user's normal is not the gradient of the gap where that is least. Collective.
+    """Warn where a user's normal has not the direction of the gap's gradient. Collective.
 
-    Of the differences forwards and backwards the better one counts: the gap may have kinks.
+    That is where the gap is least. Of the differences forwards and backwards the better one counts:
+    the gap may have kinks.
     """
     if isinstance(obstacle, Plane | Sphere | Cylinder | FacetedObstacle):
         return
-    places, facing = slave.on(boundary).coordinates, slave.normal
-    difference, gap = np.zeros_like(facing), np.full(len(places), np.inf)
-    with suppress(InputError):
+    # without a normal of the user there is none to check
+    places, outward = slave.on(boundary).coordinates, np.full_like(slave.normal, np.nan)
+    gradient, gap = np.zeros_like(outward), np.full(len(places), np.inf)
+    with suppress(InputError), np.errstate(invalid="ignore"):
         # what may fail beside the surface alone says nothing
-        gap, outward = _evaluate_obstacle(obstacle, places, facing, slave.names[0])
-        for axis, values in enumerate(difference.T):
+        gap, outward = _evaluate_obstacle(obstacle, places, outward, slave.names[0])
+        for axis, slope in enumerate(gradient.T):
             step = np.zeros_like(places)
             step[:, axis] = _STEP * slave.size
-            slopes = [
-                (_evaluate_obstacle(obstacle, places + x, facing, slave.names[0])[0] - gap)
+            forwards, backwards = (
+                (_evaluate_obstacle(obstacle, places + x, outward, slave.names[0])[0] - gap)
                 / x[:, axis]
                 for x in (step, -step)
-            ]
-            values[:] = np.abs(slopes - outward[:, axis]).min(axis=0)
+            )
+            is_nearer = np.abs(forwards - outward[:, axis]) < np.abs(backwards - outward[:, axis])
+            slope[:] = np.where(is_nearer, forwards, backwards)
     least = slave.comm.allreduce(gap.min(initial=np.inf), MPI.MIN)
     with np.errstate(invalid="ignore"):
-        wrong = (gap - least <= slave.size) & (np.linalg.norm(difference, axis=1) > NOT_GRADIENT)
+        across = np.linalg.norm(tangential_part(gradient, outward), axis=1)
+        tilted = across > NOT_GRADIENT * np.maximum(1.0, np.linalg.norm(gradient, axis=1))
+        wrong = (gap - least <= slave.size) & tilted
     messages = []
     if bad := slave.first_wrong(wrong):
         messages = [
             f"{slave.names[0]}: the obstacle's normal is not the gradient of its gap at "
-            f"{bad.number} nodes, the first at {bad.place}. Forces act along the normal, by which "
-            "the gap is to change as fast as the body moves: return the distance along it"
+            f"{bad.number} nodes, the first at {bad.place}. Forces act along the normal, in which "
+            "the distance has to grow fastest"
         ]
     warn_on_first_rank(slave.comm, *messages)
 
