@@ -62,13 +62,15 @@ class ContactOptions:
 class NewtonOptions(ContactOptions):
     """Options of `NonlinearContactProblem`: those of `ContactOptions`, and of Newton's method.
 
-    By default ``rtol``, the accuracy of each linearised problem, is 1e-3.
+    By default ``rtol``, the accuracy of each linearised problem, is 1e-3; with friction they are
+    solved more accurately near the end.
 
     Attributes
     ----------
     newton_rtol : float
-        Residual relative to reactions and contact forces, and penetration and separation relative
-        to the largest displacement, at which Newton's method ends.
+        Residual and violation of the law of friction relative to reactions and contact forces, and
+        penetration and separation relative to the largest displacement, at which Newton's method
+        ends.
     newton_max_it : int
         Limit on the Newton steps of a load step.
     newton_step_limit : float

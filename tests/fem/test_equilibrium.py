@@ -16,6 +16,7 @@ from dolfinx import fem
 from fenics_tfeti import Plane, RigidBody
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
+from fenics_tfeti.feti import Friction
 from fenics_tfeti.models import neo_hookean
 
 # the rows of the contacts
@@ -96,3 +97,27 @@ def test_penetration_before_anything_moves_is_infinite(blocks):
     with np.errstate(all="raise"):
         result = Equilibrium.of(u, overlapping, given, u, ForceScale())
     assert result.penetration == np.inf
+
+
+@pytest.mark.parametrize(
+    ("force", "slip", "excess"),
+    [
+        (0.5, 0.0, 0.0),  # sticks below its bound of 2
+        (2.0, 0.3, 0.0),  # slips at it
+        (3.0, 0.3, 1.0),  # is above it
+        (1.5, 0.3, 0.5),  # slips below it
+        (0.5, 0.01, 0.1),  # has slipped by little of what the stiffness of 10 allows
+        (2.0, -0.3, 3.0),  # slips against its force, the projection of which is at -1
+        (0.0, 0.3, 0.0),  # has no part in the problem: a support decides the slip
+    ],
+)
+def test_excess_over_the_law_of_friction(blocks, force, slip, excess):
+    """Of a tangential force, of a normal force of 4 and a coefficient of a half."""
+    rows, multipliers = blocks[1], Multipliers.none(blocks[1])
+    row = OBSTACLE[1:2]
+    tangent = np.array([[[1.0, 0.0]]])
+    friction = Friction(row, tangent, np.zeros(1), np.full((1, 1), -slip), np.full(1, 0.5))
+    rows = replace(rows, friction=friction)
+    multipliers.normal[rows.place[row]] = 4.0 / rows.contacts.length[row]
+    multipliers.tangential[rows.place[row], 0] = force / rows.contacts.length[row]
+    assert rows.excess(multipliers, 10.0) == pytest.approx([excess], abs=1e-14)

@@ -192,7 +192,8 @@ class Exact:
     ----------
     tolerance : float
         Penetration and separation of the deformed surfaces that count as none, relative to the
-        largest displacement; also the angle between contact forces and deformed normals.
+        largest displacement; also the angle between contact forces and deformed normals, and forces
+        that leave rigid bodies out of balance or break the law of friction, relative to all.
     max_passes : int
         Limit on the number of passes.
 

@@ -27,8 +27,9 @@ class TiedPair(SurfacePair):
     """Two tagged surfaces that stay together where they face each other.
 
     They may be meshed apart, as a coarse and a fine part of one body are: mortar conditions hold
-    their displacements together in the mean around each slave node, exactly for linear ones. What
-    one surface has beyond the other stays free.
+    their displacements together in the mean around each slave node, exactly for linear ones. Gaps
+    between them, as of facets along a curved surface, turn with the slave's facets. What one
+    surface has beyond the other stays free.
 
     Attributes
     ----------
