@@ -20,8 +20,9 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.surface_pairs import check_mortars, match_by_mortar
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_mortars
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -112,7 +113,8 @@ def _deformed_pairs(
     partner = np.searchsorted(master.nodes, pairing.master)
     if contact.normal is None:
         slave.check_not_folded(pairing.name)
-        normal = slave.normal[rows]
+        surface = _with_normals(pairing.surface.on(boundary), slave)
+        normal = surface.with_normals_of(pairing.covered).normal[pairing.on_surface]
     else:
         normal = _turned_normals(pairing.surface, boundary)[pairing.on_surface]
     distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
@@ -137,13 +139,13 @@ def _deformed_mortar(
     with raise_collectively(surface.comm):
         if contact.normal is None:
             slave.check_not_folded(name)
-            rows = np.searchsorted(slave.nodes, surface.nodes)
-            surface = replace(surface, normal=slave.normal[rows])
+            surface = _with_normals(surface, slave)
         master.check_not_folded(name)
     if contact.normal is not None:
         surface = replace(surface, normal=_turned_normals(pairing.surface, boundary))
     shared = np.intersect1d(slave.nodes, master.nodes)
-    conditions = match_by_mortar(contact, surface, master, shared, prescribed, pairing.slave)
+    given = contact.normal is not None
+    conditions = mortar_conditions(surface, master, shared, prescribed, pairing.slave, given)
     check_mortars(conditions, pairing.surface)
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(
@@ -173,6 +175,12 @@ def _turned_normals(surface: Surface, boundary: MeshBoundary) -> Vector:
     """Return the user's normals (k, gdim) turned with the facets around the nodes. Collective."""
     rotations = SurfaceRotations.of(surface, boundary)
     return rotations.turned(surface.normal, np.arange(len(surface.normal)))
+
+
+def _with_normals(surface: Surface, facets: SurfaceFacets) -> Surface:
+    """Return a surface with the normals of all facets around its nodes."""
+    rows = np.searchsorted(facets.nodes, surface.nodes)
+    return replace(surface, normal=facets.normal[rows])
 
 
 @dataclass(frozen=True)

@@ -84,9 +84,16 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
     limit = how.tolerance * slave.size
     _check_partners(pairs, partners, limit)
     paired = np.flatnonzero(partners.distance <= limit)
-    partner, contact, normal = partners.master[paired], slave.contact[paired], slave.normal[paired]
+    partner, contact = partners.master[paired], slave.contact[paired]
     _check_one_to_one(pairs, master, partner)
 
+    images = np.full_like(slave.points, np.nan)
+    images[paired] = master.points[partner]
+    at_corners = slave.at_corners(images)
+    covered = np.isfinite(at_corners).all(axis=(1, 2))
+    if pairs.contacts[0].normal is None:
+        slave = slave.with_normals_of(covered)
+    normal = slave.normal[paired]
     angle = angles_between(normal, -master.normal[partner])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
     if bad := slave.first_wrong(angle > 120.0, paired):
@@ -95,11 +102,7 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
             f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "
             "one of the tags on the far side of its body?"
         )
-    images = np.full_like(slave.points, np.nan)
-    images[paired] = master.points[partner]
-    at_corners = slave.at_corners(images)
     _check_not_crossed(slave, at_corners)
-    covered = np.isfinite(at_corners).all(axis=(1, 2))
     chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
     return Conditions(
         Terms.of_nodes(slave.nodes[paired], master.nodes[partner]),

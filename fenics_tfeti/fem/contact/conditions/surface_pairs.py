@@ -25,9 +25,8 @@ from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes, without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
@@ -113,8 +112,9 @@ def _matched(
     else:
         prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
         shared, none = shared_nodes(pairs, master.nodes), np.zeros(0, dtype=np.int64)
-        check_folds(slave)
-        found = match_by_mortar(contacts[0], slave, master, shared, prescribed, none)
+        given = contacts[0].normal is not None
+        found = mortar_conditions(slave, master, shared, prescribed, none, given)
+        check_folds(slave, found.covered)
         check_mortars(found, slave)
     return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
 
@@ -140,20 +140,6 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
         )
     )
     return JoinedPairs(contacts, slave, master)
-
-
-def match_by_mortar(
-    contact: ContactPair,
-    slave: Surface,
-    master: SurfaceFacets,
-    shared: Numbers,
-    prescribed: Mask,
-    before: Numbers,
-) -> Conditions:
-    """Return mortar conditions of pairs, this the first; see `mortar_conditions`. Collective."""
-    if contact.normal is None:
-        slave = replace(slave, normal=normals_in_symmetry_planes(slave, prescribed))
-    return mortar_conditions(slave, slave.oriented_part(), master, shared, prescribed, before)
 
 
 def _pairings(
@@ -266,9 +252,9 @@ def check_covered(conditions: Conditions, slave: Surface) -> None:
         )
 
 
-def check_folds(surface: Surface) -> None:
-    """Check that neighbouring facets of the slave are folded by 90 degrees at most. Collective."""
-    slave = surface.part()
+def check_folds(surface: Surface, covered: Mask) -> None:
+    """Check that covered neighbours of its facets (f,) are folded by at most 90 degrees. Collective."""
+    slave = surface.part(covered)
     corners, points = slave.facets.pieces, slave.points
     normal = Planes.of(slave.facets.coordinates()).normal
     v, gdim = corners.shape[1], points.shape[1]

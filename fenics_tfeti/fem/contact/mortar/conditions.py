@@ -6,6 +6,7 @@ them. The contributions of the facets are summed at the owners of the slave's no
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
@@ -25,6 +26,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     node_sums,
 )
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
+from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
@@ -36,20 +38,25 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 def mortar_conditions(
     surface: Surface,
-    slave: SurfaceFacets,
     master: SurfaceFacets,
     shared: Numbers,
     prescribed: Mask,
     before: Numbers,
+    has_user_normals: bool,
 ) -> Conditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
-    The slave's facets are those of this rank, of the master those near them. No condition have
-    nodes of both surfaces, `shared`, and those that their supports hold along the normal, see
-    `_held_by_supports`. Nodes of this rank that had conditions `before` keep them longer than
-    others.
+    The slave's facets are those of this rank, of the master those near them. Normals are those of
+    the facets that are covered, if not the user's. No condition have nodes of both surfaces,
+    `shared`, and those that their supports hold along the normal, see `_held_by_supports`. Nodes of
+    this rank that had conditions `before` keep them longer than others.
     """
+    slave = surface.oriented_part()
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
+    if not has_user_normals:
+        surface = surface.with_normals_of(_covered(slave, integrals))
+        surface = replace(surface, normal=normals_in_symmetry_planes(surface, prescribed))
+        slave = replace(slave, vertex_normals=surface.normals_at(slave.nodes))
     along = np.abs(slave.normal) > RELATIVE_ROUNDING
     held = (_held_by_supports(surface, slave, prescribed) | ~along).all(axis=1)
     free = held | np.isin(slave.nodes, shared)
@@ -134,8 +141,7 @@ def _conditions(
     normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
     largest = _largest_of_facets(slave, master, integrals)
     chord, deviation, angle = all_nodes.sum_at_owners(corners.ravel(), largest, np.maximum)[own].T
-    facets = np.zeros(len(slave.facets), dtype=bool)
-    facets[integrals.facet] = True
+    facets = _covered(slave, integrals)
     return Conditions(
         terms,
         unit(normal),
@@ -149,6 +155,13 @@ def _conditions(
         deviation,
         shares=_pressure_shares(all_nodes, corners, slave.nodes, coverage, terms.slave),
     )
+
+
+def _covered(slave: SurfaceFacets, integrals: FacetIntegrals) -> Mask:
+    """Tell which facets (f,) of the slave are covered, at least in part."""
+    covered = np.zeros(len(slave.facets), dtype=bool)
+    covered[integrals.facet] = True
+    return covered
 
 
 def _pressure_shares(

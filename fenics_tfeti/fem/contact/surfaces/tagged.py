@@ -209,6 +209,19 @@ class Surface:
         integrals = corner_normals(x, at_corners) * chosen[:, None, None]
         return np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
 
+    def with_normals_of(self, chosen: Mask) -> Surface:
+        """Return it with the mean normals of chosen facets (f,), where a node has some. Collective.
+
+        At the edge of a box whose sides are tagged, too, the normal is then that of the foot.
+        """
+        x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
+        sums = self.sum_of_corners(corner_normals(x) * chosen[:, None, None])
+        length = np.linalg.norm(sums, axis=1)
+        there = length > VANISHING_NORMAL * self.area
+        normal = self.normal.copy()
+        normal[there] = sums[there] / length[there, None]
+        return replace(self, normal=normal)
+
     def check_weight(self, weighted: Vector, rows: Numbers | slice = slice(None)) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
         mean, contact = weighted / self.area[rows], self.contact[rows]
@@ -259,14 +272,18 @@ class Surface:
     def oriented_part(self) -> SurfaceFacets:
         """Return the facets of this rank with the surface's normals and the weight. Collective."""
         nodes, part = self.boundary.nodes, self.part()
-        normal = np.zeros((nodes.owned, self.normal.shape[1]))
-        normal[self.local] = self.normal
         weight = self.boundary.nodal_weight()
         return replace(
             part,
-            vertex_normals=nodes.values_at(normal, part.nodes),
+            vertex_normals=self.normals_at(part.nodes),
             weight=None if weight is None else weight[nodes.to_local(part.nodes)],
         )
+
+    def normals_at(self, nodes: Numbers) -> Vector:
+        """Return the normals (n, gdim) at nodes of any ranks, zero at others. Collective."""
+        normal = np.zeros((self.boundary.nodes.owned, self.normal.shape[1]))
+        normal[self.local] = self.normal
+        return self.boundary.nodes.values_at(normal, nodes)
 
     def gathered(self) -> SurfaceFacets:
         """Return the facets of all ranks. Collective."""
