@@ -17,7 +17,14 @@ from dolfinx.mesh import meshtags
 from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Exact
 from fenics_tfeti.fem.contact.search.roles import nodal_stiffness, roles_ratios
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.io import Box, boxes, contact_fields, displacement_space, piecewise_constant, tag_facets
+from fenics_tfeti.io import (
+    Box,
+    boxes,
+    contact_fields,
+    displacement_space,
+    piecewise_constant,
+    tag_facets,
+)
 
 TOP, BOTTOM = 1, 2
 
@@ -185,7 +192,9 @@ def test_roles_stay_where_the_master_can_be_no_slave():
 @pytest.mark.filterwarnings("ignore:joint")
 def test_pairs_are_exchanged_but_those_that_cannot_be():
     """Of three stiff blocks on soft ones; the second master goes around a ridge of 60 degrees."""
-    columns = [Box((2 * k, y), (2 * k + 1, y + 1), (4 + 2 * y, 2)) for k in range(3) for y in (0, 1)]
+    columns = [
+        Box((2 * k, y), (2 * k + 1, y + 1), (4 + 2 * y, 2)) for k in range(3) for y in (0, 1)
+    ]
     mesh = boxes(MPI.COMM_SELF, columns, "quadrilateral").mesh
     bodies = find_bodies(mesh, None)
     of_cell = meshtags(mesh, 2, np.arange(bodies.of_cell.size), bodies.of_cell.astype(np.int32))

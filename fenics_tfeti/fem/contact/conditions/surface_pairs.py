@@ -253,7 +253,7 @@ def check_covered(conditions: Conditions, slave: Surface) -> None:
 
 
 def check_folds(surface: Surface, covered: Mask) -> None:
-    """Check that covered neighbours of its facets (f,) are folded by at most 90 degrees. Collective."""
+    """Check that neighbours among covered facets (f,) are folded by 90 degrees at most."""
     slave = surface.part(covered)
     corners, points = slave.facets.pieces, slave.points
     normal = Planes.of(slave.facets.coordinates()).normal

@@ -254,7 +254,7 @@ class Surface:
         covered_area = self.share_of_area(covered, weight)
         return np.where(covered_area > RELATIVE_ROUNDING * area, covered_area, area)
 
-    def part(self, chosen: Numbers | slice = slice(None)) -> SurfaceFacets:
+    def part(self, chosen: Numbers | Mask | slice = slice(None)) -> SurfaceFacets:
         """Return all or some facets of this rank."""
         boundary, rows = self.boundary, self.facet_nodes[chosen]
         nodes, first, inverse = np.unique(
