@@ -222,7 +222,8 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         self, solution: TornSolution, conditions: ContactSet, bodies: RigidBodies, **report: Any
     ) -> None:
         """Keep the solution that was found with conditions, and has moved rigid bodies."""
-        self._solved = solved = SolvedContacts.of(conditions, solution, self.u, bodies)
+        on_deformed = bool(self._exact)
+        self._solved = solved = SolvedContacts.of(conditions, solution, self.u, bodies, on_deformed)
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self._report = self._report_type.of(
             solution.report,

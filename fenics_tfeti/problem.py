@@ -75,7 +75,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         Factor of ``ds`` in the forms, by which nodal forces become pressures: ``2 * pi * r`` or
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
-        interpolated between the nodes of a facet. Its values may change between solves.
+        interpolated between the nodes of a facet. Its values may change between solves. With
+        `geometry` and finite strains x in it is the deformed place; functions move with the nodes.
     rigid : mapping of int to RigidBody, optional
         Rigid bodies by the tags of their cells in `cell_tags`. Their stiffness is not assembled,
         and their surfaces are masters of contact pairs and ties; `L` acts on them.
@@ -374,14 +375,16 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def _first_conditions(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
-        undeformed = self._torn.undeformed
-        uh = fill_owned(Function(self.space), self._step.displacement)
+        undeformed, last = self._torn.undeformed, self._deformed
         if self._is_restored and not undeformed.bodies.frames:
-            with self._timer.phase("deformed surfaces"):
-                self._deformed, _ = undeformed.deformed(uh)
-        if self._deformed is None or not undeformed.has_same_contacts(self._deformed):
+            last = undeformed
+        if last is None or not undeformed.has_same_contacts(last):
             return undeformed
-        return undeformed.at_conditions_of(self._deformed, uh)
+        # measured anew: obstacles and the weight of the measure may have changed
+        uh = fill_owned(Function(self.space), self._step.displacement)
+        bodies = undeformed.bodies.restored(last.bodies.saved())
+        with self._timer.phase("deformed surfaces"):
+            return undeformed.deformed(uh, bodies, last)[0].with_friction(uh)
 
     def _not_exact(self, geometry: Exact, uh: Function, last: GeometryPass) -> Function:
         reason = (

@@ -412,17 +412,16 @@ def gmsh_order(cell: str, nodes: int) -> Array:
     return np.asarray(cpp.io.perm_gmsh(cpp.mesh.to_type(cell), nodes))
 
 
-def interpolate_expression(expression: Any, function: Any) -> None:
-    """Interpolate a UFL expression into a function of dolfinx.
+def compiled_expression(expression: Any, space: fem.FunctionSpace) -> fem.Expression:
+    """Compile a UFL expression, to be interpolated into functions of a space.
 
     - ``element.interpolation_points`` is a method in 0.5.2, 0.9 and 0.10, an array in 0.11.
     """
-    points = function.function_space.element.interpolation_points
+    points = space.element.interpolation_points
     points = points() if callable(points) else points
-    expression = with_constants(expression, function.function_space.mesh)
+    expression = with_constants(expression, space.mesh)
     with compiling(extract_coefficients(expression)):
-        compiled = fem.Expression(expression, points)
-    function.interpolate(compiled)
+        return fem.Expression(expression, points)
 
 
 def list_pieces(index: Path, pieces: Sequence[str]) -> None:

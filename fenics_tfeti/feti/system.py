@@ -183,7 +183,8 @@ class ContactRows:
         The terms of row i are those from ``offsets[i]`` up to, without, ``offsets[i + 1]``; each
         row has one at least.
     nodes : (terms,) integer array
-        Global node numbers, distinct within a row.
+        Global node numbers, distinct among a row's slave nodes and among its master nodes. A node
+        that is both, as the tip of a crack, counts with both coefficients.
     coefficients : (terms, gdim) array
         c_k.
     gap : (rows,) array

@@ -293,18 +293,6 @@ class ContactSet:
             a.contact is b.contact for a, b in zip(self.contacts, other.contacts, strict=True)
         )
 
-    def at_conditions_of(self, other: ContactSet, uh: Function) -> ContactSet:
-        """Return the set with the conditions of another one, deformed by uh. Collective.
-
-        That one is for the same contacts.
-        """
-        contacts = [
-            replace(found, pairing=earlier.pairing, on_body=earlier.on_body)
-            for found, earlier in zip(self.contacts, other.contacts, strict=True)
-        ]
-        bodies = self.bodies.restored(other.bodies.saved())
-        return replace(self, contacts=contacts, bodies=bodies).with_friction(uh)
-
     def dofs(self, nodes: Numbers) -> Numbers:
         """Return the numbers on this rank of nodes that it owns."""
         return nodes - self.boundary.nodes.first

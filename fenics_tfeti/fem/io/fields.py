@@ -72,7 +72,8 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     deviator = stress - ufl.tr(stress) / 3 * ufl.Identity(3)
     constants = _compat.lagrange_space(mesh, 0, discontinuous=True)
     result = Function(constants, name="von_mises_stress")
-    _compat.interpolate_expression(ufl.sqrt(3 / 2 * ufl.inner(deviator, deviator)), result)
+    equivalent = ufl.sqrt(3 / 2 * ufl.inner(deviator, deviator))
+    result.interpolate(_compat.compiled_expression(equivalent, result.function_space))
     return result
 
 
@@ -315,14 +316,14 @@ class ContactFields(NamedTuple):
     """Contact results as fields, in this order.
 
     They are of degree 1: for displacements of degree 2 as well, contact is at the vertices. The
-    integral of the pressure over a slave surface is the contact's force in the report, where it is
-    covered wholly; where the slave sticks out of the master, the sum of ``pressure * area`` of the
-    `ContactResult` is.
+    integral of the pressure over a slave surface, deformed where contact is on deformed surfaces,
+    is the contact's force in the report, where it is covered wholly; where the slave sticks out of
+    the master, the sum of ``pressure * area`` of the `ContactResult` is.
 
     Attributes
     ----------
     pressure : Function
-        "contact_pressure" [Pa]; zero off the surfaces, as all forces are.
+        "contact_pressure" of `ContactResult` [Pa]; zero off the surfaces, as all forces are.
     force : Function
         "contact_force" [N]: normal, times the outward normal; a vector.
     gap, opening : Function

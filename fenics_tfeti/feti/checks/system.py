@@ -442,10 +442,11 @@ def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:
 
 
 def _check_distinct_nodes(what: str, rows: ContactRows, names: Sequence[str]) -> None:
-    """Check that no row names a node twice."""
-    order = np.lexsort((rows.nodes, rows.row))
-    row, node = rows.row[order], rows.nodes[order]
-    repeats = np.flatnonzero((row[1:] == row[:-1]) & (node[1:] == node[:-1]))
+    """Check that no row names a node twice, but one that is on both surfaces beside its slave."""
+    order = np.lexsort((rows.on_slave, rows.nodes, rows.row))
+    row, node, on_slave = rows.row[order], rows.nodes[order], rows.on_slave[order]
+    on_both = (on_slave[1:] != on_slave[:-1]) & (node[1:] != rows.slave[row[1:]])
+    repeats = np.flatnonzero((row[1:] == row[:-1]) & (node[1:] == node[:-1]) & ~on_both)
     if repeats.size:
         raise InputError(
             f"{what}.nodes: {np.unique(row[repeats]).size} rows name a node twice, the "

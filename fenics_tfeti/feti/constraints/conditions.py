@@ -238,8 +238,7 @@ def _terms(
     system: TornSystem, contacts: ContactRows, directory: Directory, table: NodeTable
 ) -> _Terms:
     """Return the terms of this rank's rows. Collective."""
-    row, node = contacts.row, contacts.nodes
-    coefficients = contacts.coefficients / contacts.length[row][:, None]
+    row, node, coefficients = _added_up(contacts)
     nodal = table.lookup(directory, node)
     with raise_collectively(system.comm):
         _check_known(node, nodal.multiplicity)
@@ -253,6 +252,19 @@ def _terms(
         summands.sum(axis=1),
         np.abs(summands).sum(axis=1),
     )
+
+
+def _added_up(contacts: ContactRows) -> tuple[Numbers, Numbers, Vector]:
+    """Return row, node and coefficients of each term, added up where a node is on both surfaces."""
+    row, node = contacts.row, contacts.nodes
+    coefficients = contacts.coefficients / contacts.length[row][:, None]
+    order = np.lexsort((node, row))
+    is_new = np.ones(row.size, dtype=bool)
+    is_new[1:] = (np.diff(row[order]) != 0) | (np.diff(node[order]) != 0)
+    if is_new.all():
+        return row, node, coefficients
+    first = np.flatnonzero(is_new)
+    return row[order][first], node[order][first], np.add.reduceat(coefficients[order], first)
 
 
 def _free_terms(

@@ -24,6 +24,7 @@ def test_gathered_nodes_are_in_the_order_of_their_numbers():
         vectors,
         column,
         column,
+        column,
         column > 3.0,
         column,
         column,
@@ -38,7 +39,7 @@ def test_results_by_number_and_name():
     entries = [ContactEntry(name, 0.0, [1.0], [], [2.0], [], 0.0, {}) for name in "abb"]
     none, column = np.zeros(0, dtype=np.int64), np.zeros(0)
     found = [
-        ContactResult(entry.name, entry, none, none, *[column] * 6, column > 0.0, column, column)
+        ContactResult(entry.name, entry, none, none, *[column] * 7, column > 0.0, column, column)
         for entry in entries
     ]
     results = Results(found)

@@ -39,15 +39,17 @@ def result_of(matched, pressure):
         matched.normal,
         pressure * matched.area,
         pressure,
+        pressure * matched.stretch,
         pressure > 0.0,
         matched.area,
         np.ones_like(pressure),
     )
 
 
-def transferred(coarse, contact, fine_match, displacement, pressure=linear):
+def transferred(coarse, contact, fine_match, displacement, pressure=linear, stretch=1.0):
     """Return what the fine mesh expects of the solution of a coarse one."""
     matched = match_contacts(MeshBoundary.of(coarse.V), [contact])[0]
+    matched = replace(matched, area=stretch * matched.area, stretch=stretch)
     result = result_of(matched, pressure(matched.coordinates))
     solved = gather_solved([matched], [result], displacement)
     return expected_contact(solved, fine_match)
@@ -59,6 +61,16 @@ def test_linear_pressure_is_transferred_exactly(cell):
     matched = fine.pairing(fine.pair)
     guess = transferred(coarse, coarse.pair, [matched], coarse.displacement())
     expected = linear(matched.coordinates) * matched.area
+    np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
+
+
+def test_forces_are_transferred_between_states():
+    """The coarse surface is twice as large as the undeformed one, the fine one three times."""
+    coarse, fine = blocks("quadrilateral", n=2), blocks("quadrilateral", n=4)
+    matched = fine.pairing(fine.pair)
+    present = replace(matched, area=3.0 * matched.area, stretch=3.0)
+    guess = transferred(coarse, coarse.pair, [present], coarse.displacement(), stretch=2.0)
+    expected = 2.0 * linear(matched.coordinates) * matched.area
     np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
 
 

@@ -252,3 +252,18 @@ def test_jumps_of_random_rows_are_distances():
         at = np.searchsorted(held, own)
         np.testing.assert_allclose(jump[own] / scale[at], distance, rtol=1e-10, atol=1e-12)
         np.testing.assert_allclose(c[own] / scale[at], rows.gap / rows.length, rtol=1e-12)
+
+
+def test_coefficients_of_a_node_on_both_surfaces_add_up():
+    """The tip of a crack: its part of the slave is in the length of the row, so in its force."""
+    slave, tip, master = CENTRE, CENTRE + 1, CENTRE - 1
+    both = ([slave, tip, master, tip], [1.0, 0.5, -1.2, -0.3], [2])
+    once = ([slave, tip, master], [1.0, 0.2, -1.2], [2])
+    rows = [
+        ContactRows([0, len(nodes)], nodes, np.outer(weights, [0.6, 0.0, 0.8]), [0.15], [0], slaves)
+        for nodes, weights, slaves in (both, once)
+    ]
+    assert [float(r.length[0]) for r in rows] == pytest.approx([1.5, 1.2])
+    (first, c), (second, d) = (build_constraints(eight_cubes(contacts=r)) for r in rows)
+    np.testing.assert_allclose((first.matrix - second.matrix).toarray(), 0.0, atol=1e-15)
+    np.testing.assert_allclose(c, d, rtol=1e-14)

@@ -18,10 +18,10 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.obstacle import deformed_gaps
+from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_mortars
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
@@ -77,7 +77,8 @@ def deformed_contacts(
     for (contact, pairing), surfaces in zip(contacts, needed, strict=True):
         new = _deformed(contact, pairing, [next(gathered) for _ in surfaces], boundary)
         moved = np.sum(new.pairing.relative(u) * new.pairing.normal, axis=1)
-        total = replace(new.pairing, gap=new.pairing.gap + moved)
+        stretch = new.pairing.stretch_at(boundary)
+        total = replace(new.pairing, gap=new.pairing.gap + moved, stretch=stretch)
         measured.append(replace(new, pairing=total))
     return measured
 
@@ -92,31 +93,34 @@ def _deformed(
 
     The gaps of the new conditions are distances of the deformed surfaces.
     """
-    if isinstance(contact, RigidObstacle):
-        (slave,) = surfaces
-        normal, distance, _ = deformed_gaps(pairing.surface, contact, slave, pairing.terms)
-        new = replace(pairing, normal=normal, gap=distance)
-        return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
     if pairing.is_mortar:
+        assert isinstance(contact, ContactPair)
         return _deformed_mortar(contact, pairing, boundary)
-    return _deformed_pairs(contact, pairing, boundary, *surfaces)
+    has_user_normals = isinstance(contact, ContactPair) and contact.normal is not None
+    if has_user_normals:
+        normal = _turned_normals(pairing.surface, boundary)
+    else:
+        surfaces[0].check_not_folded(pairing.name)
+        rows = np.searchsorted(surfaces[0].nodes, pairing.surface.nodes)
+        normal = surfaces[0].normal[rows]
+    surface = pairing.surface.on(boundary, normal)
+    if isinstance(contact, ContactPair):
+        if not has_user_normals:
+            surface = surface.with_normals_of(pairing.covered)
+        return _deformed_pairs(pairing, surface, *surfaces)
+    terms, area = conditions_at_obstacle(surface, pairing.covered)
+    normal, distance, _ = deformed_gaps(pairing.surface, contact, surfaces[0], terms)
+    new = replace(pairing, terms=terms, normal=normal, gap=distance, area=area)
+    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
 
 
 def _deformed_pairs(
-    contact: ContactPair,
-    pairing: ContactPairing,
-    boundary: MeshBoundary,
-    slave: SurfaceFacets,
-    master: SurfaceFacets,
+    pairing: ContactPairing, surface: Surface, slave: SurfaceFacets, master: SurfaceFacets
 ) -> DeformedContact:
+    """Measure pairs of nodes, with the slave's deformed surface. Collective."""
     rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
-    if contact.normal is None:
-        slave.check_not_folded(pairing.name)
-        surface = _with_normals(pairing.surface.on(boundary), slave)
-        normal = surface.with_normals_of(pairing.covered).normal[pairing.on_surface]
-    else:
-        normal = _turned_normals(pairing.surface, boundary)[pairing.on_surface]
+    normal = surface.normal[pairing.on_surface]
     distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
     # a partner is kept unless its distance from where the normal meets the master is more than 1.5
     # times that of the nearest node: otherwise the passes could alternate between two nodes
@@ -125,7 +129,8 @@ def _deformed_pairs(
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     partner = np.where(current > 1.5 * closest, nearest, partner)
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
-    new = replace(pairing, terms=terms, normal=normal, gap=distance)
+    area = surface.areas(pairing.covered)[pairing.on_surface]
+    new = replace(pairing, terms=terms, normal=normal, gap=distance, area=area)
     return DeformedContact(new, normal, distance, np.maximum(-signed, 0.0))
 
 

@@ -32,7 +32,7 @@ from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_OBSTACLE, NOT_GRADIENT, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 # step of the differences by which gradients of gaps are found, relative to the facets' edges
 _STEP = 1e-4
@@ -57,21 +57,14 @@ def match_obstacle(
         if earlier
         else tagged_surface(boundary, tags, tag, name, "slave")
     )
-    is_linear = boundary.degree == 1
-    covered = np.ones(len(slave.facet_nodes), dtype=bool)
-    terms, facets = Terms.of_nodes(slave.nodes), None if is_linear else slave.oriented_part()
-    nodal_gap = None
-    if facets is not None:
-        if deformed is None:
-            normals = unit(facets.from_corners(facets.normal))
-            places = _padded(facets.points)
-            nodal_gap, _ = gap_and_normal(slave, contact.obstacle, places, normals)
-            covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
-        terms = one_sided_conditions(slave, facets, covered)
-        if facets.weight is not None:
-            slave.check_weight(terms.scale, slave.rows_of(terms.slave))
+    covered, facets, nodal_gap = slave.whole, None, None
+    if boundary.degree > 1 and deformed is None:
+        facets = slave.oriented_part()
+        normals = unit(facets.from_corners(facets.normal))
+        nodal_gap, _ = gap_and_normal(slave, contact.obstacle, _padded(facets.points), normals)
+        covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
+    terms, area = conditions_at_obstacle(slave, covered)
     rows = slave.rows_of(terms.slave)
-    area = slave.areas(covered) if is_linear else terms.scale
     if deformed is None:
         places, facing = slave.coordinates[rows], slave.normal[rows]
         gap, outward = gap_and_normal(slave, contact.obstacle, places, facing)
@@ -132,6 +125,20 @@ def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary)
             "the distance has to grow fastest"
         ]
     warn_on_first_rank(slave.comm, *messages)
+
+
+def conditions_at_obstacle(surface: Surface, covered: Mask) -> tuple[Terms, Vector]:
+    """Return the conditions of a surface, deformed or not, and their areas (k,). Collective.
+
+    Those of degree 2 are means over the covered facets (f,).
+    """
+    if surface.boundary.degree == 1:
+        return Terms.of_nodes(surface.nodes), surface.areas(covered)
+    facets = surface.oriented_part()
+    terms = one_sided_conditions(surface, facets, covered)
+    if facets.weight is not None:
+        surface.check_weight(terms.scale, surface.rows_of(terms.slave))
+    return terms, terms.scale
 
 
 def _mean_gap(terms: Terms, gap: Vector) -> Vector:

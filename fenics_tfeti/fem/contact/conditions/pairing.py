@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, rows_of_terms, terms_of_slaves
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
@@ -145,9 +145,10 @@ class ContactPairing:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
-    area belongs to the node: in a partial contact that of the facets whose nodes all have partners,
-    where the node has such facets; of a mortar condition the integral of its dual function over the
-    covered part. It has the weight of the measure.
+    area belongs to the node: in a partial contact that of the facets whose nodes all have partners
+    or are the master's, too, where the node has such facets; of a mortar condition the integral of
+    its dual function over the covered part. Areas are those of the surface where the conditions are
+    made, deformed or not, with the weight of the measure there.
     """
 
     terms: Terms
@@ -162,6 +163,9 @@ class ContactPairing:
     prescribed: Mask | None = None
     master_surface: Surface | None = None  # None for obstacles
     shares: sp.csr_matrix | None = None  # of mortar conditions, see `mean_traction`
+    # (k,): area of the surface around the nodes where the conditions are made, relative to that of
+    # the undeformed surface
+    stretch: Vector | float = 1.0
 
     @property
     def name(self) -> str:
@@ -198,6 +202,14 @@ class ContactPairing:
     def coordinates(self) -> Vector:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
+
+    def stretch_at(self, deformed: MeshBoundary) -> Vector:
+        """Return the deformed area around the nodes over the undeformed one, (k,). Collective."""
+        return self.surface.stretch(deformed, self.covered)[self.on_surface]
+
+    def with_stretch(self, stretch: Vector) -> ContactPairing:
+        """Return the conditions with the areas of another state, of which the stretch (k,) is."""
+        return replace(self, area=self.area / self.stretch * stretch, stretch=stretch)
 
     def relative(self, values: Vector) -> Vector:
         """Return means (k, q) of values (n, q), the slave's less the master's. Collective."""

@@ -251,7 +251,7 @@ class _Match:
         surface = self.surface
         contact = np.zeros(self.nodes.size, dtype=np.int64)
         distance = surface.without_rounding(self.distance, contact)
-        whole = surface.areas(np.ones(len(surface.facet_nodes), dtype=bool))
+        whole = surface.areas(surface.whole)
         area = np.full(self.nodes.size, np.nan)
         area[np.searchsorted(self.nodes, surface.nodes)] = whole
         (summary,) = pairing_summaries(

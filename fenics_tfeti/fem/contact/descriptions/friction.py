@@ -24,8 +24,8 @@ class Tresca:
     slip_bound : float, callable or dolfinx.fem.Function
         Largest tangential traction [Pa]: a number, a function of the undeformed nodes x (3, n) [m]
         of the slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the
-        mesh. With the `measure_weight` of
-        the problem it becomes the largest nodal force.
+        mesh. Times the area of `ContactResult`, which is that of the deformed surface with
+        ``Exact()`` and finite strains, it becomes the largest nodal force.
 
     Examples
     --------

@@ -223,20 +223,20 @@ def collect_terms(
     """Sum up terms (t,) at the owners of their rows; conditions by ascending node. Collective.
 
     `row` and `column` are global nodes: the slave node of the condition, and the node of the term,
-    which `on_slave` says to be one of the slave. Values are negative on the master [m^2 or m].
+    which `on_slave` says to be one of the slave. Values are negative on the master [m^2 or m]. A
+    node on both surfaces, as the tip of a crack, has two terms: the weights of the slave's add up
+    to the area.
     """
     row, column, value, on_slave = all_nodes.to_owners(row, column, value, on_slave)
     row = row + all_nodes.first
     # values in ascending order: the sum does not depend on the order in which they arrive
-    order = np.lexsort((value, column, row))
+    order = np.lexsort((value, on_slave, column, row))
     row, column, value, on_slave = row[order], column[order], value[order], on_slave[order]
-    first = np.flatnonzero(
-        np.diff(row, prepend=-1).astype(bool) | np.diff(column, prepend=-1).astype(bool)
-    )
+    changes = (np.diff(key, prepend=-1).astype(bool) for key in (row, column, on_slave.astype(int)))
+    first = np.flatnonzero(np.logical_or.reduce(list(changes)))
     if first.size:
         value = np.add.reduceat(value, first)
-        on_slave = np.logical_or.reduceat(on_slave, first)
-    row, column = row[first], column[first]
+    row, column, on_slave = row[first], column[first], on_slave[first]
     # the node of the condition, other nodes of the slave, nodes of the master
     order = np.lexsort((column, column != row, ~on_slave, row))
     nodes, condition = np.unique(row[order], return_inverse=True)

@@ -30,11 +30,11 @@ class ContactEntry(ContactForces):
         size of the facets), ``largest_angle`` between the slave's normal and the opposite of the
         master's [degrees], ``smallest_gap``, ``largest_gap`` and ``mean_gap`` [m], of mortar
         conditions those of their means, and the ``covered_area`` of the slave [m^2; m in 2D] (None
-        for obstacles). Nodes at which an obstacle's gap is infinite are unmatched. Of mortar
-        conditions whose gaps are those of the mesh also ``deviation``, the largest distance of the
-        facets of both surfaces from curved surfaces through their nodes [m], and ``blurred``, the
-        share of the area with gaps smaller than it (None for others). Mortar conditions have the
-        tags of ``slave`` and ``master`` as well.
+        for obstacles), undeformed and without `measure_weight`. Nodes at which an obstacle's gap is
+        infinite are unmatched. Of mortar conditions whose gaps are those of the mesh also
+        ``deviation``, the largest distance of the facets of both surfaces from curved surfaces
+        through their nodes [m], and ``blurred``, the share of the area with gaps smaller than it
+        (None for others). Mortar conditions have the tags of ``slave`` and ``master`` as well.
     roles_ratio : float or None
         Of mortar conditions E / h of the slave over that of the master, which is better below 20.
     roles : str or None
@@ -102,7 +102,8 @@ class FrictionResult:
     force : (k, gdim) array
         Friction force on the slave, in the units of the normal force [N].
     traction : (k, gdim) array
-        The force over the area that belongs to the node [Pa], a mean where the pressure is one.
+        The force over the area that belongs to the node, see `ContactResult`, a mean where the
+        pressure is one [Pa].
     bound : (k,) array
         Slip bound: the force at which the node slips [N].
     slip : (k, gdim) array
@@ -160,18 +161,26 @@ class ContactResult(_SurfaceResult):
         Outward unit normals of the slave.
     normal_force : (k,) array
         [N]; [N/m] in plane problems; in axisymmetric ones [N] if the forms have the factor
-        2 pi r, [N/rad] if they have r.
+        2 pi r, [N/rad] if they have r. With mortar conditions beside a node of both surfaces, as
+        the tip of a crack, what acts on this node from both sides is part of it.
     pressure : (k,) array
-        Normal force over the area that belongs to the node, which has the problem's
-        `measure_weight` [Pa]. With mortar conditions, nodes that are covered by less than 0.4 are
-        taken together with their neighbours that are covered better, and have the mean of these'
-        pressures: the force at the rim of a contact is over next to no area.
+        Normal force over the area that belongs to the node [Pa]. With mortar conditions, nodes that
+        are covered by less than 0.4 are taken together with their neighbours that are covered
+        better, and have the mean of these' pressures: the force at the rim of a contact is over
+        next to no area.
+    nominal_pressure : (k,) array
+        Normal force over undeformed area: the pressure times the ratio of the present to the
+        undeformed area of the surface around the node [Pa].
     active : (k,) bool array
         Whether the normal force is positive.
     area : (k,) array
-        The area by which the normal force is divided [m^2; m in 2D]. With mortar conditions that of
-        the covered part of the surface around the node: the areas add up to what is covered, and
-        the sum of ``pressure * area`` is the contact force.
+        The area that belongs to the node, with the problem's `measure_weight` [m^2; m in 2D]: with
+        `NonlinearContactProblem` and ``geometry=Exact()`` that of the deformed surface, with the
+        weight at deformed places, otherwise that of the undeformed one. It is the node's share of
+        the facets around it; in a partial contact of pairs of nodes, of those whose nodes all have
+        partners or are on both surfaces. With mortar conditions it is that of the covered part of
+        the surface around the node: the areas add up to what is covered, and the sum of
+        ``pressure * area`` is the contact force.
     coverage : (k,) array
         The share of the slave's area around the node that the master covers, up to 1: less at the
         rim of the contact. With mortar conditions, nodes around which next to nothing is covered
@@ -202,6 +211,7 @@ class ContactResult(_SurfaceResult):
     normal: Vector
     normal_force: Vector
     pressure: Vector
+    nominal_pressure: Vector
     active: Mask
     area: Vector
     coverage: Vector
@@ -249,8 +259,8 @@ class TiedResult(_SurfaceResult):
         The force over the area that belongs to the node [Pa]; at the rim of mortar conditions a
         mean, as the pressure of contacts.
     area : (k,) array
-        The area around the node that the master covers [m^2; m in 2D]. NaN for LinearRows, and of
-        surfaces of degree 2 that match at nodes that are no vertices.
+        The undeformed area around the node that the master covers [m^2; m in 2D]. NaN for
+        LinearRows, and of surfaces of degree 2 that match at nodes that are no vertices.
     comm : MPI.Intracomm
         The ranks.
 

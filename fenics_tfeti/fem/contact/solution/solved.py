@@ -27,6 +27,7 @@ from fenics_tfeti.fem.contact.solution.results import (
     TiedResult,
 )
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, gather_solved
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.typing import Numbers, Vector
@@ -45,9 +46,16 @@ class SolvedContacts:
 
     @staticmethod
     def of(
-        conditions: ContactSet, solution: TornSolution, uh: Function, bodies: RigidBodies
+        conditions: ContactSet,
+        solution: TornSolution,
+        uh: Function,
+        bodies: RigidBodies,
+        on_deformed: bool = False,
     ) -> SolvedContacts:
-        """Return a solution that was found with conditions, and has moved bodies. Collective."""
+        """Return a solution that was found with conditions, and has moved bodies. Collective.
+
+        Contact is on the deformed or on the undeformed surfaces.
+        """
         nodes, found = conditions.boundary.nodes, conditions.contacts
         rows = contact_rows(conditions.pairings, nodes.components)
         opening = (rows.gap - row_values(nodes, rows, owned_values(uh))) / rows.length
@@ -58,8 +66,9 @@ class SolvedContacts:
                 moved = frame.displacements(frame.motion, f.on_body.places)
                 opening[own] += np.sum(f.pairing.normal * moved, axis=1)
         uh.x.scatter_forward()
+        deformed = conditions.boundary.deformed(uh) if on_deformed else None
         contacts = [
-            _contact_result(conditions, f, solution, uh, opening, *of_contact)
+            _contact_result(conditions, f, solution, uh, deformed, opening, *of_contact)
             for f, *of_contact in zip(found, conditions.positions, sites, strict=True)
         ]
         rows_of_ties = consecutive([tie.pairing.rows.size for tie in conditions.ties])
@@ -111,14 +120,19 @@ def _contact_result(
     found: FoundContact,
     solution: TornSolution,
     uh: Function,
+    deformed: MeshBoundary | None,
     opening: Vector,
     rows: Numbers,
     sites: Numbers,
 ) -> ContactResult:
     pairing, friction = found.pairing, found.friction
+    if deformed is not None:
+        # the solution has displaced the surfaces of its conditions
+        pairing = pairing.with_stretch(pairing.stretch_at(deformed))
     force, contact, penetration = solution.normal_force[rows], found.contact, None
     if isinstance(contact, ContactPair) and pairing.is_mortar:
         penetration = measured_penetration(contact, found.undeformed, pairing.slave, uh)
+    pressure = pairing.mean_traction(force)
     entry = ContactEntry(
         **vars(solution.report.contacts[found.number]),
         pairing=found.undeformed.summary,
@@ -136,7 +150,8 @@ def _contact_result(
         opening[rows],
         pairing.normal,
         normal_force=force,
-        pressure=pairing.mean_traction(force),
+        pressure=pressure,
+        nominal_pressure=pressure * pairing.stretch,
         active=force > 0.0,
         area=pairing.area,
         coverage=pairing.coverage,

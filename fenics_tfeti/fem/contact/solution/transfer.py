@@ -30,7 +30,7 @@ class SolvedContact:
 
     name: str
     surface: SurfaceFacets
-    # (n, 3): 1, the normal force over the area [Pa] and (u_slave - u_master)'n [m]; 0 at nodes
+    # (n, 3): 1, the force over undeformed area [Pa] and (u_slave - u_master)'n [m]; 0 at nodes
     # without condition
     values: Vector
 
@@ -45,7 +45,7 @@ def gather_solved(
         relative = pairing.relative(nodes.values(displacement))
         approach = np.sum(relative * pairing.normal, axis=1)
         # not the pressure that is reported, which is a mean at the rim
-        force = result.normal_force / result.area
+        force = result.normal_force / pairing.area * pairing.stretch
         columns = np.column_stack([np.ones_like(approach), force, approach])
         conditioned, columns = (
             concatenate_ranks(nodes.comm, column) for column in (pairing.slave, columns)
@@ -67,7 +67,7 @@ def expected_contact(
         weight, pressure, approach = coarse.surface.interpolate(coarse.values, points).T
         near = weight > RELATIVE_ROUNDING
         weight = np.where(near, weight, 1.0)
-        forces.append(np.where(near, pressure / weight * pairing.area, 0.0))
+        forces.append(np.where(near, pressure / weight * pairing.area / pairing.stretch, 0.0))
         gaps.append(np.where(near, pairing.gap - approach / weight, np.inf))
     return ContactGuess(np.concatenate(forces), np.concatenate(gaps))
 

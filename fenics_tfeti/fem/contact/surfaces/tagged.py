@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+import ufl
 from dolfinx.fem import Constant, Function, FunctionSpace
 from dolfinx.mesh import Mesh
 from ufl.algorithms import extract_arguments
@@ -48,7 +49,10 @@ class MeshBoundary:
     coordinates: Vector  # (nodes, 3): of this rank's nodes, ghosts last [m]
     # whether each facet of this rank is on the boundary; False for ghosts
     exterior: Mask
-    weight: Any  # factor of ds in the forms, an expression of UFL; None without one
+    # factor of ds in the forms, at the local nodes at vertices (nodes,) after a displacement; None
+    # without one
+    weight: Callable[[Function | None], Vector] | None
+    displacement: Function | None = None  # of the nodes; None in the undeformed state
 
     @staticmethod
     def of(space: FunctionSpace, measure_weight: Any = None) -> MeshBoundary:
@@ -56,18 +60,19 @@ class MeshBoundary:
         domain, coordinates = space.mesh, space.tabulate_dof_coordinates()
         with raise_collectively(domain.comm):
             weight = as_ufl_weight(domain, measure_weight)
+        at_vertices = None if weight is None else _weight_at_vertices(space, weight)
         exterior = exterior_facets(domain)
         cells = np.flatnonzero(exterior[cell_facets(domain)].any(axis=1))
         # dolfinx maps the nodes from the reference cell, with rounding
         vertices = domain.geometry.x[cell_vertices(domain)[cells]]
         coordinates[vertex_nodes(space)[cells]] = vertices
-        return MeshBoundary(space, NodeMap(space), coordinates, exterior, weight)
+        return MeshBoundary(space, NodeMap(space), coordinates, exterior, at_vertices)
 
     def deformed(self, displacement: Function) -> MeshBoundary:
         """Return the boundary with displaced nodes; ghosts of the displacement are up to date."""
         moves = self.nodes.values(displacement)
         x = self.coordinates + np.pad(moves, ((0, 0), (0, 3 - moves.shape[1])))
-        return replace(self, coordinates=x)
+        return replace(self, coordinates=x, displacement=displacement)
 
     @property
     def degree(self) -> int:
@@ -76,15 +81,7 @@ class MeshBoundary:
 
     def nodal_weight(self) -> Vector | None:
         """Evaluate the weight at all local nodes at vertices; None without one. Collective."""
-        if self.weight is None:
-            return None
-        scalar = Function(_compat.lagrange_space(self.space.mesh, 1))
-        _compat.interpolate_expression(self.weight, scalar)
-        scalar.x.scatter_forward()
-        values = np.zeros(NodeMap(self.space).size)
-        # the two spaces may number their nodes differently
-        values[vertex_nodes(self.space)] = scalar.x.array[vertex_nodes(scalar.function_space)]
-        return self.nodes.copied(values)
+        return None if self.weight is None else self.nodes.copied(self.weight(self.displacement))
 
 
 @dataclass(frozen=True)
@@ -104,9 +101,21 @@ class Surface:
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: Vector  # largest coordinates of each surface by magnitude, over all ranks [m]
 
-    def on(self, boundary: MeshBoundary) -> Surface:
-        """Return the surface at other places of the nodes, with the normals and areas it has."""
-        return replace(self, boundary=boundary)
+    def on(self, boundary: MeshBoundary, normal: Vector | None = None) -> Surface:
+        """Return the surface at other places of the nodes. Collective.
+
+        Without normals (k, gdim) there it keeps the normals and areas that it has.
+        """
+        surface = replace(self, boundary=boundary)
+        if normal is None:
+            return surface
+        surface = replace(surface, normal=normal)
+        return replace(surface, area=surface.share_of_area(surface.whole))
+
+    @property
+    def whole(self) -> Mask:
+        """All facets, (f,)."""
+        return np.ones(len(self.facet_nodes), dtype=bool)
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -222,6 +231,21 @@ class Surface:
         normal[there] = sums[there] / length[there, None]
         return replace(self, normal=normal)
 
+    def stretch(self, deformed: MeshBoundary, chosen: Mask) -> Vector:
+        """Return the deformed over the present area of chosen facets (f,) at nodes. Collective.
+
+        Areas are integrals of the shape function with the weight of the measure.
+        """
+        after, before = (surface._area_of(chosen) for surface in (self.on(deformed), self))
+        # a node of facets on the axis has none
+        return np.divide(after, before, out=np.ones_like(before), where=before > 0.0)
+
+    def _area_of(self, chosen: Mask) -> Vector:
+        weight = self.boundary.nodal_weight()
+        x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
+        integrals = corner_normals(x, None if weight is None else weight[self.vertices])
+        return self.sum_of_corners(np.linalg.norm(integrals, axis=2) * chosen[:, None])
+
     def check_weight(self, weighted: Vector, rows: Numbers | slice = slice(None)) -> None:
         """Check that areas (k,) with the weight of the measure, at some nodes, are positive."""
         mean, contact = weighted / self.area[rows], self.contact[rows]
@@ -247,7 +271,7 @@ class Surface:
         """
         area, weight = self.area, self.boundary.nodal_weight()
         if weight is not None:
-            area = self.share_of_area(np.ones_like(covered), weight)
+            area = self.share_of_area(self.whole, weight)
             self.check_weight(area)
         if self.comm.allreduce(bool(covered.all()), MPI.LAND):
             return area
@@ -463,6 +487,29 @@ def _normals_and_areas(
             f"nodes, the first at {bad.place}: it has to point out of the slave, as the facets' do"
         )
     return normal, area
+
+
+def _weight_at_vertices(space: FunctionSpace, weight: Any) -> Callable[[Function | None], Vector]:
+    """Compile a weight, to be evaluated at the displaced vertices of a mesh. Collective.
+
+    Functions in it move with the nodes; x in it is where they are.
+    """
+    scalar, moved = Function(_compat.lagrange_space(space.mesh, 1)), Function(space)
+    x = ufl.SpatialCoordinate(space.mesh)
+    weight = ufl.replace(weight, {x: x + moved})
+    compiled = _compat.compiled_expression(weight, scalar.function_space)
+    # the two spaces may number their nodes differently
+    at, source = vertex_nodes(space), vertex_nodes(scalar.function_space)
+
+    def at_vertices(displacement: Function | None) -> Vector:
+        moved.x.array[:] = 0.0 if displacement is None else displacement.x.array
+        scalar.interpolate(compiled)
+        scalar.x.scatter_forward()
+        values = np.zeros(NodeMap(space).size)
+        values[at] = scalar.x.array[source]
+        return values
+
+    return at_vertices
 
 
 def as_ufl_weight(domain: Mesh, weight: Any) -> Any:

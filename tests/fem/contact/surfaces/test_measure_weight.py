@@ -49,6 +49,18 @@ def test_areas_are_integrals_of_the_weight(kind, obstacle):
     np.testing.assert_allclose(pairing.area[order], exact, rtol=1e-12)
 
 
+@pytest.mark.parametrize("kind", ["expression", "function"])
+def test_x_in_the_weight_is_where_the_nodes_are_and_functions_move_with_them(kind):
+    V, _ = strips()
+    weight = thickness(V, ufl.SpatialCoordinate(V.mesh))[kind]
+    moved = fem.Function(V)
+    moved.interpolate(lambda x: np.stack([0.5 + x[1], 0 * x[0]]))
+    x, y, _ = V.tabulate_dof_coordinates().T
+    expected = {"expression": 1.0 + x + 0.5 + y, "function": 1.0 + x}[kind]
+    boundary = MeshBoundary.of(V, weight).deformed(moved)
+    np.testing.assert_allclose(boundary.nodal_weight(), expected, rtol=1e-14)
+
+
 @pytest.mark.parametrize("cell", CELLS)
 def test_a_constant_weight_multiplies_areas(cell):
     scene = scenes.two_beams(MPI.COMM_SELF, cell, 3)

@@ -1,0 +1,117 @@
+"""A closed crack under a uniform stress: its pressure is that stress, beside the tip, too."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+
+import ufl
+from dolfinx import fem
+from dolfinx.mesh import locate_entities, meshtags
+
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.conditions.pairing import contact_rows, row_values
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.fem.displacement import owned_values
+from fenics_tfeti.io import (
+    Box,
+    Interface,
+    TaggedMesh,
+    boxes,
+    displacement_space,
+    split_interfaces,
+    tag_facets,
+)
+from fenics_tfeti.models import isotropic, small_strain
+
+CRACK, LOW, UP, TOP, FLOOR, PRESSURE = 9, 11, 12, 3, 4, 40.0
+N = 4  # cells along an edge of the block; the crack is half as wide
+
+
+def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
+    """Return the space, the contact and the tags of a block with a crack in its middle."""
+    cell = {2: "quadrilateral", 3: "hexahedron"}[gdim]
+    ends = (-1.0,) * gdim, (1.0,) * gdim
+    mesh = boxes(comm, [Box(*ends, (2 * N,) * gdim)], cell).mesh
+    mesh.topology.create_connectivity(gdim - 1, gdim)
+    count = mesh.topology.index_map(gdim)
+    cells = np.arange(count.size_local + count.num_ghosts, dtype=np.int32)
+    on_crack = np.sort(
+        locate_entities(
+            mesh,
+            gdim - 1,
+            lambda x: np.isclose(x[gdim - 1], 0) & (np.abs(x[: gdim - 1]) < 0.51).all(axis=0),
+        )
+    )
+    whole = TaggedMesh(
+        mesh,
+        meshtags(mesh, gdim, cells, np.ones_like(cells)),
+        meshtags(mesh, gdim - 1, on_crack, np.full_like(on_crack, CRACK)),
+        {},
+    )
+    parts = split_interfaces(whole, [Interface(1, 1, slave_tag=LOW, master_tag=UP, facets=CRACK)])
+    V = displacement_space(parts.mesh, degree=degree)
+    pair = ContactPair(
+        parts.facet_tags, LOW, UP, partial=True, partners=partners, name="crack", **arguments
+    )
+    return V, pair
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize(
+    ("degree", "partners"),
+    [(1, None), (1, "mortar"), (2, None)],
+    ids=["nodes", "mortar", "degree 2"],
+)
+@pytest.mark.parametrize("gdim", [2, 3])
+def test_uniform_pressure(gdim, degree, partners):
+    V, pair = cracked(gdim, degree, partners, friction=Coulomb(0.3))
+    mesh = V.mesh
+    ends = tag_facets(
+        mesh,
+        {TOP: lambda x: np.isclose(x[gdim - 1], 1), FLOOR: lambda x: np.isclose(x[gdim - 1], -1)},
+    )
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=ends)
+    fixed = fem.locate_dofs_topological(V, gdim - 1, ends.find(FLOOR))
+    problem = ContactProblem(
+        ufl.inner(isotropic(1e4, 0.0)(u), small_strain(v)) * ufl.dx,
+        -fem.Constant(mesh, PRESSURE) * v[gdim - 1] * ds(TOP),
+        bcs=[fem.dirichletbc(np.zeros(gdim), fixed, V)],
+        contacts=[pair],
+        options={"rtol": 1e-9},
+    )
+    problem.solve()
+    crack = problem.results["crack"]
+    whole, entry = crack.gather(), crack.entry
+    np.testing.assert_allclose(whole.pressure, PRESSURE, rtol=1e-6)
+    np.testing.assert_allclose(whole.friction.bound, 0.3 * PRESSURE * whole.area, rtol=1e-6)
+    # mortar conditions have all of the surface, pairs of nodes what belongs to nodes off the tip
+    width = 1.0 if degree == 2 or partners else 1.0 - 1.0 / N
+    assert whole.area.sum() == pytest.approx(width ** (gdim - 1), rel=1e-12)
+    assert entry.normal_force == pytest.approx(PRESSURE * whole.area.sum(), rel=1e-6)
+    assert entry.force[-1] == pytest.approx(-entry.normal_force, rel=1e-6)
+    assert entry.force_on_master[-1] == pytest.approx(entry.normal_force, rel=1e-6)
+
+
+@pytest.mark.parametrize(("degree", "partners"), [(1, None), (1, "mortar"), (2, None)])
+def test_a_displacement_that_closes_an_open_crack_fulfils_the_conditions(degree, partners):
+    """The gap is zero at the tip, whose share the conditions beside it have."""
+    V, pair = cracked(2, degree, partners, MPI.COMM_SELF)
+    x, cells = V.mesh.geometry.x, _compat.geometry_cells(V.mesh)
+    upper = np.unique(cells[x[cells, 1].mean(axis=1) > 0])
+    upper = upper[np.isclose(x[upper, 1], 0)]
+
+    def opening(x):
+        return np.maximum(0.1 * (0.5 - np.abs(x[0])), 0.0)
+
+    x[upper, 1] += opening(x[upper].T)
+    closing = fem.Function(V)
+    closing.interpolate(lambda x: np.stack([0 * x[0], np.where(x[1] > 0, -opening(x), 0)]))
+    boundary = MeshBoundary.of(V)
+    rows = contact_rows(match_contacts(boundary, [pair]), 2)
+    assert (rows.gap > 0.0).all()
+    moved = row_values(boundary.nodes, rows, owned_values(closing))
+    np.testing.assert_allclose(moved, rows.gap, rtol=1e-12)
