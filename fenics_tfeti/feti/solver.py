@@ -44,7 +44,7 @@ from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import any_rank, raise_collectively
 from fenics_tfeti.typing import Vector
 
 _AT_A_LIMIT = (SolveStatus.OUT_OF_STEPS, SolveStatus.OUT_OF_PRODUCTS)
@@ -157,6 +157,7 @@ class TornSolver:
         self.system = system
         self.options = options or Options()
         self.timer = timer or Timer()
+        _given_by_all(system.comm, "start", start, "load_checkpoint gives each rank its part")
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
         self._deflation_solves = 0
@@ -341,8 +342,10 @@ class TornSolver:
         history = History(
             norm_products_before=self._norm_products, deflation_solves=self._deflation_solves
         )
+        comm = self.system.comm
+        watched = any_rank(comm, monitor is not None)
         with interruption.deferred():
-            return self._solve(Monitor(history, self.system.comm, monitor, self.options.monitor))
+            return self._solve(Monitor(history, comm, monitor, watched, self.options.monitor))
 
     def _solve(self, monitor: Monitor) -> TornSolution:
         context = SolveContext(
@@ -351,7 +354,10 @@ class TornSolver:
         balance = partial(self._balance, explain=False)
         outcome = iterate_slip_bounds(context, self._start, balance)
         self._start = outcome.start
-        report = build_report(self.system, context, outcome, self.reused)
+        report = build_report(self.system, context, outcome, list(self.reused))
+        # a further solve spends nothing on the set-up
+        self.reused = ["factors", "coarse problem", "norm", "multipliers"]
+        self._norm_products, self._deflation_solves = self.setup.norm.products, 0
         solution = self._solution(outcome, report)
         try:
             interruption.check(self.system.comm)
@@ -418,17 +424,23 @@ def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:
 
 def _check_guess(guess: ContactGuess | None, system: TornSystem, options: Options) -> None:
     """Check that all ranks or none give a guess, each for its contact rows. Collective."""
-    if not any(system.comm.allgather(guess is not None)):
+    remedy = "a rank without contact rows gives a ContactGuess of empty arrays"
+    if not _given_by_all(system.comm, "guess", guess, remedy):
         return
     with raise_collectively(system.comm):
-        if guess is None:
-            raise InputError(
-                "guess: this rank gives none, others do; a rank without contact rows gives a "
-                "ContactGuess of empty arrays"
-            )
+        assert guess is not None
         check_guess(guess, system.contacts.size)
         if options.method != "active_set":
             raise InputError(
                 "a guess of the contact is the start of method='active_set'; with "
                 f"{options.method!r} leave it out"
             )
+
+
+def _given_by_all(comm: MPI.Intracomm, what: str, value: object, remedy: str) -> bool:
+    """Tell whether an argument is given; `InputError` if it is on some ranks only. Collective."""
+    is_given = any_rank(comm, value is not None)
+    with raise_collectively(comm):
+        if is_given and value is None:
+            raise InputError(f"{what}: this rank gives none, others do; {remedy}")
+    return is_given

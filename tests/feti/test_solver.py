@@ -147,3 +147,13 @@ def test_released_solver_passes_on_its_multipliers():
     assert second.reused == kept.reused == ["multipliers"]
     np.testing.assert_array_equal(second.solve().normal_force, kept.solve().normal_force)
     first.release()
+
+
+def test_further_solves_of_a_solver_spend_nothing_on_the_set_up():
+    """Norm and deflation are counted once, and the last multipliers are told."""
+    system = column()
+    solver = TornSolver(system, Options(method="smalbe"))
+    first, second = (solver.solve().report for _ in range(2))
+    assert first.products["norm"] > 0
+    assert second.products["norm"] == second.products["deflation"] == 0
+    assert (first.reused, second.reused[-1]) == ([], "multipliers")

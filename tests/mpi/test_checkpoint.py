@@ -5,8 +5,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from killed_run import HEIGHTS, Disc, block, block_on_disc, run
+from sparse_rows import distributed
+from torn import column
 
 from fenics_tfeti import InputError
+from fenics_tfeti.feti import TornSolver
 
 COMM = MPI.COMM_WORLD
 
@@ -49,6 +52,15 @@ def test_run_goes_on_on_other_ranks(path, later):
     again.solve()
     assert len(again.report.passes) == 1 < len(problem.report.passes)
     assert again.report.energy == pytest.approx(problem.report.energy, rel=1e-7)
+
+
+def test_state_on_some_ranks_only_is_refused_on_all(path):
+    system = distributed(column(), COMM)
+    solver = TornSolver(system)
+    solver.solve()
+    state = solver.state if COMM.rank else None
+    with pytest.raises(InputError, match="start: this rank gives none, others do"):
+        TornSolver(system, start=state)
 
 
 def test_wrong_checkpoints_are_refused_on_all_ranks(path):

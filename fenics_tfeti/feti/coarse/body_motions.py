@@ -63,7 +63,7 @@ def body_motions(
     basis, supports, distance = _motions_and_supports(system, kernels)
     # also that of coordinates far from the origin
     trace = max(rounding(1.0, MANY), rounding(distance, FEW))
-    lengths = constraints.row_lengths
+    lengths = constraints.lengths_of_rows()
     moved = sp.diags(1.0 / np.where(lengths > 0.0, lengths, 1.0)) @ (everyone @ basis)
     # gluing rows resist no motion of a whole body; rounding leaves traces of them
     moved.data[np.abs(moved.data) <= trace] = 0.0

@@ -57,7 +57,7 @@ def feasible_start(
     supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    free, weak = coarse_space.softly_supported
+    free, weak = coarse_space.softly_supported()
     if free.shape[1] + weak.shape[1]:
         prescribed = coarse_space.prolong(supports.coefficients(c))
         gaps = unit * (c - prescribed)[constraints.inequality]
@@ -209,7 +209,7 @@ def _contact_and_friction(
 
 def _moved_rows(coarse_space: CoarseSpace, motions: sp.csc_matrix) -> sp.csr_matrix:
     """Return B R T z without what rounding leaves where parts of a motion cancel."""
-    bodies, lengths = coarse_space.bodies, coarse_space.constraints.row_lengths
+    bodies, lengths = coarse_space.bodies, coarse_space.constraints.lengths_of_rows()
     moved = (bodies.moved @ motions).tocsr()
     moved.data[np.abs(moved.data) <= bodies.rounding] = 0.0
     moved.eliminate_zeros()

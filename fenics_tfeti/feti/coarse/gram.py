@@ -99,7 +99,7 @@ def _pins(
     added = np.zeros(coarse_space.layout.size)
     if free.shape[1] + weak.shape[1]:
         largest: float = coarse_space.layout.largest_diagonal(gram)
-        row: float = coarse_space.longest_row**2
+        row: float = coarse_space.find_longest_row() ** 2
         pin = max(largest, rounding(row)) or 1.0
         if weak.shape[1]:
             pin = max(largest, row) / WEAK**2

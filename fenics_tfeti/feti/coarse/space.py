@@ -108,10 +108,9 @@ class CoarseSpace:
         """Number of coarse unknowns of all ranks."""
         return self.layout.size
 
-    @property
-    def longest_row(self) -> float:
-        """Largest length of a row of B."""
-        return largest_of_ranks(self.comm, self.constraints.row_lengths)
+    def find_longest_row(self) -> float:
+        """Return the largest length of a row of B. Collective."""
+        return largest_of_ranks(self.comm, self.constraints.lengths_of_rows())
 
     @property
     def comm(self) -> MPI.Intracomm:
@@ -217,15 +216,21 @@ class CoarseSpace:
         `BodyMotions` are orthonormal; where bodies move by themselves, each is that of one body.
         Collective.
         """
-        free, soft = self.softly_supported
+        free, soft = self.softly_supported()
         if not free.shape[1] + soft.shape[1]:
             # the equality rows resist more than that already
             return free, soft
         return self._resisted(rows, below, combinations)
 
-    @cached_property
     def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """The motions of bodies that equality rows resist not at all, and softly: (z, z)."""
+        """Return the motions of bodies that equality rows resist not at all, and softly: (z, z).
+
+        Collective at first.
+        """
+        return self._softly_supported
+
+    @cached_property
+    def _softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         return self._resisted(self.constraints.equality, _SOFTLY, None)
 
     def _resisted(
@@ -266,7 +271,7 @@ class CoarseSpace:
 
         The motions z of bodies are (modes * bodies,) or (modes * bodies, k).
         """
-        return (self.constraints.row_lengths * (self.bodies.moved @ z).T).T
+        return (self.constraints.lengths_of_rows() * (self.bodies.moved @ z).T).T
 
 
 def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:

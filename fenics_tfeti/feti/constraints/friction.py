@@ -66,6 +66,7 @@ class FrictionRows:
     contact: Numbers  # (k,): number of the contact, of the first one
     scale: Vector  # (k,): t: a jump divided by t is a slip [m], t lambda_T a force [N]
     own: Numbers  # (g,): position of the site; -1 where it has no rows
+    anywhere: bool  # whether any rank has a site
     curved: bool  # whether any rank has a site with two rows, and so a disc
     normal: Numbers  # (g,): local position of its contact row; -1 where it is no row of B
     # as given: r = Psi / t, m = Coulomb's coefficient * factor of the contact row / t; the sums
@@ -96,12 +97,15 @@ class FrictionRows:
         position[order] = np.arange(sites.size)
         first = first[order]
         none = np.zeros(own_sites.size)
+        has_sites = np.array([sites.size > 0, directions == 2 and (table >= 0).all(axis=1).any()])
+        comm.Allreduce(MPI.IN_PLACE, has_sites, MPI.LOR)
         return FrictionRows(
             table[order],
             contact[first],
             scale[first],
             position[positions(sites, own_sites)],
-            bool(comm.allreduce(directions == 2 and (table >= 0).all(axis=1).any(), MPI.LOR)),
+            bool(has_sites[0]),
+            bool(has_sites[1]),
             np.full(own_sites.size, -1, dtype=np.int64),
             SlipBound(np.zeros(sites.size), np.zeros(sites.size)),
             SlipBound(none, none),

@@ -104,16 +104,12 @@ class Constraints:
         mask[self.friction.flat] = False
         return mask
 
-    @cached_property
-    def has_friction(self) -> bool:
-        """Tell whether any rank has tangential rows. Collective."""
-        some = np.array([self.friction.size > 0])
-        self.layout.comm.Allreduce(MPI.IN_PLACE, some, MPI.LOR)
-        return bool(some[0])
+    def lengths_of_rows(self) -> Vector:
+        """Return the Euclidean norms (m,) of the rows of B over all ranks. Collective at first."""
+        return self._lengths
 
     @cached_property
-    def row_lengths(self) -> Vector:
-        """Euclidean norms of the rows of B over all ranks."""
+    def _lengths(self) -> Vector:
         squares = self.matrix.multiply(self.matrix).sum(axis=1)
         return np.sqrt(self.layout.sum(np.asarray(squares).ravel()))
 

@@ -65,7 +65,8 @@ def trial_eigenvalue(trial: TrialDisplacements, weights: Vector, R: Vector) -> f
     root = np.sqrt(weights.max(axis=0))[:, None]
     Q = np.linalg.qr(root * R)[0]
     u = root * trial.values.T
-    return trial.largest(np.sum((u - Q @ (Q.T @ u)) ** 2, axis=0))
+    u = u - Q @ (Q.T @ u)
+    return trial.largest(u.T @ u)
 
 
 def _ratio_of_neighbours(

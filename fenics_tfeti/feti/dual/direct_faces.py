@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from mpi4py import MPI
 
@@ -57,6 +56,8 @@ class DirectFaces:
         init=False, repr=False, default=None
     )
 
+    _of_all: _Joined | None = field(init=False, repr=False, default=None)
+
     @staticmethod
     def build(
         F: DualOperator, stiffness: Sequence[sp.csr_matrix], unit: float, package: str
@@ -79,7 +80,7 @@ class DirectFaces:
         `curvature` (k,) of forces that turn and the `compliance` of rows with bounds are those of
         C.
         """
-        joined = self._joined
+        joined = self._join()
         C, D = joined.face(projector, curvature, compliance)
         D += _COMPLIANCE / self.unit
         if self._last is None or not _equal(self._last[:2], (C, D)):
@@ -102,9 +103,13 @@ class DirectFaces:
 
         return solve
 
-    @cached_property
-    def _joined(self) -> _Joined:
-        """K and B, gathered. Collective."""
+    def _join(self) -> _Joined:
+        """Return K and B, gathered. Collective at first."""
+        if self._of_all is None:
+            self._of_all = self._gathered()
+        return self._of_all
+
+    def _gathered(self) -> _Joined:
         F, comm = self.F, self.F.constraints.layout.comm
         unknowns = of_subdomains(F.interface.classes, F.interface.unknowns)
         sizes = [K.shape[0] for K in self.stiffness]

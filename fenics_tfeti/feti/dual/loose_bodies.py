@@ -68,7 +68,7 @@ class LooseBodies:
         rows_moved = coarse_space.bodies.moved[off] @ _moving(motions)
         # rows of unit length that a motion of size 1 does not move have traces of it
         moved = _largest_of_rows(rows_moved, motions) > rounding(1.0, MANY)
-        closing = sp.diags(constraints.row_lengths[off[moved]]) @ rows_moved[moved]
+        closing = sp.diags(constraints.lengths_of_rows()[off[moved]]) @ rows_moved[moved]
         return LooseBodies(coarse_space, motions, off[moved], closing.tocsr(), held)
 
     def motion(self, gap: Vector) -> Vector:

@@ -7,11 +7,13 @@ bending. So their energies are those of the Schur complement, too, of their valu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations_with_replacement, permutations
+from itertools import combinations_with_replacement
 
 import numpy as np
+import scipy.linalg
 import scipy.sparse as sp
 
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -20,7 +22,7 @@ class TrialDisplacements:
     """Trial displacements of a class of congruent subdomains, and their energies."""
 
     values: Vector  # (k, b): on the interface unknowns, strains first
-    energies: Vector  # (k,): u'Ku [J]
+    energies: Vector  # (k, k): u_i'Ku_j [J]
     strains: int  # number of those that are linear
 
     @staticmethod
@@ -32,43 +34,59 @@ class TrialDisplacements:
         # what comes after the displacements is the ground
         u = np.zeros((len(linear) + len(curved), stiffness.shape[0]))
         u[:, : coordinates.size] = np.concatenate([linear, curved])
-        energies = np.sum(u.T * (stiffness @ u.T), axis=0)
-        return TrialDisplacements(u[:, unknowns], energies, len(linear))
+        return TrialDisplacements(u[:, unknowns], u @ (stiffness @ u.T), len(linear))
 
-    def largest(self, squares: Vector) -> float:
-        """Return the largest quotient of squares (j,), of the first displacements, and energies."""
-        energies = self.energies[: squares.size]
+    def largest(self, form: Vector) -> float:
+        """Return the largest quotient of a quadratic form and the energy.
+
+        The form (j, j) is that of sums of the first displacements. Sums are compared, as each of
+        the displacements depends on the choice of axes.
+        """
+        energies = self.energies[: len(form), : len(form)]
         # an indefinite stiffness may have none
-        some = energies > 0.0
-        return float((squares[some] / energies[some]).max(initial=0.0))
+        some = energies.diagonal() > 0.0
+        size = np.sqrt(energies.diagonal()[some])
+        E, A = (x[np.ix_(some, some)] / np.outer(size, size) for x in (energies, form))
+        values, vectors = np.linalg.eigh(E)
+        positive = values > ZERO * values.max(initial=0.0)
+        vectors = vectors[:, positive] / np.sqrt(values[positive])
+        return float(np.linalg.eigvalsh(vectors.T @ A @ vectors).max(initial=0.0))
 
 
 def strains(coordinates: Vector) -> Vector:
-    """Return the d (d + 1) / 2 uniform strains along principal axes as rows (k, d * nodes)."""
-    x, axes = _principal(coordinates)
+    """Return the d (d + 1) / 2 uniform strains as rows (k, d * nodes)."""
+    x = coordinates - coordinates.mean(axis=0)
     rows = []
     for i, j in combinations_with_replacement(range(x.shape[1]), 2):
         u = np.zeros(x.shape)
         u[:, i] += x[:, j]
         u[:, j] += x[:, i]
-        rows.append((u @ axes.T).ravel())
+        rows.append(u.ravel())
     return np.array(rows)
 
 
 def bending(coordinates: Vector) -> Vector:
-    """Return the bending of each principal axis towards each other one, as rows (k, d * nodes)."""
-    x, axes = _principal(coordinates)
-    rows = []
-    for i, j in permutations(range(x.shape[1]), 2):
-        u = np.zeros(x.shape)
-        u[:, i] = -x[:, i] * x[:, j]
-        u[:, j] = 0.5 * x[:, i] ** 2
-        rows.append((u @ axes.T).ravel())
-    return np.array(rows)
+    """Return displacements whose sums are those of bending any axis towards another one.
 
-
-def _principal(coordinates: Vector) -> tuple[Vector, Vector]:
-    """Return coordinates along the principal axes through the middle, and the axes as columns."""
+    The bending of a unit vector a towards b, across it, is -(a'x)(b'x) a + (a'x)^2 b / 2, the sum
+    of T_ijk (x_i x_j e_k - x_i x_k e_j - x_j x_k e_i) / 2 for T = a a b; the tensors T that are
+    symmetric in i and j, with T_iki = 0, are sums of such products. Rows (k, d * nodes), 15 in
+    three dimensions and 4 in two.
+    """
     x = coordinates - coordinates.mean(axis=0)
-    axes: Vector = np.linalg.eigh(x.T @ x)[1]
-    return x @ axes, axes
+    gdim = x.shape[1]
+    units, rows = np.identity(gdim), []
+    pairs = list(combinations_with_replacement(range(gdim), 2))
+    tensors = [
+        np.einsum("i,j,k->ijk", units[i], units[j], units[k])
+        + np.einsum("i,j,k->ijk", units[j], units[i], units[k])
+        for i, j in pairs
+        for k in range(gdim)
+    ]
+    traces = np.array([np.einsum("iki->k", T) for T in tensors])
+    for factors in scipy.linalg.null_space(traces.T).T:
+        T = np.tensordot(factors, np.array(tensors), 1)
+        products = np.einsum("ijk,ni,nj->nk", T, x, x)
+        u = 0.5 * products - np.einsum("ijk,ni,nk->nj", T, x, x)
+        rows.append(u.ravel())
+    return np.array(rows)

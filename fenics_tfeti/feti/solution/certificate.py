@@ -24,6 +24,7 @@ its error.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,11 +36,12 @@ from fenics_tfeti.feti.tolerances import NEARLY_UNLOADED
 class BodyError:
     """The error of one body.
 
-    A body that hardly deforms is compared with a thousandth of its group's energy norm.
+    A body that hardly deforms is compared with a thousandth of its group's energy norm. Energy
+    norms are those of u_t, which differ from those of u by the error.
     """
 
     body: str
-    energy_norm: float  # ||u||_K of the body [sqrt(J)]
+    energy_norm: float  # ||u_t||_K of the body [sqrt(J)]
     error: float  # the body's share of ||u - u_t||_K, relative to the scale
     scale: float  # the body's energy norm, or the thousandth of its group's [sqrt(J)]
 
@@ -49,8 +51,8 @@ class GroupError:
     """The error of a group of bodies that press on each other."""
 
     bodies: list[str]
-    energy_norm: float  # ||u||_K of the group [sqrt(J)]
-    error: float  # bound of ||u - u*||_K / ||u||_K; zero where the group's strains are rounding
+    energy_norm: float  # ||u_t||_K of the group [sqrt(J)]
+    error: float  # bound of ||u - u*||_K / ||u_t||_K; zero where the group's strains are rounding
 
     @property
     def scale(self) -> float:
@@ -70,7 +72,7 @@ class Certificate:
     bound : float
         Bound of ||u - u*||_K, u* the exact solution [sqrt(J)].
     error : float
-        The same relative to ||u||_K.
+        The same relative to ||u_t||_K, which differs from ||u||_K by no more than the bound.
     groups : list of GroupError
         The same for each group of bodies that press on each other.
     bodies : list of BodyError
@@ -94,7 +96,8 @@ class Certificate:
     slip_across_force : float
         Largest part of a slip that is not along the tangential force, relative to the same.
     guaranteed : bool
-        False where tangents are indefinite, so that the bound is an estimate.
+        False where the bound is an estimate: where tangents are indefinite, and with Coulomb's law,
+        of which it bounds the error with the last slip bounds.
     slip_bound_error : float
         With Coulomb's law, difference between the friction forces and the bounds that the normal
         forces make, as root of the sum of squares, relative to the bounds.
@@ -115,25 +118,35 @@ class Certificate:
     guaranteed: bool = True
 
     def numbers(self) -> dict[str, float]:
-        """Return what the tolerance limits, by name; of groups and bodies the largest error."""
-        return {
+        """Return what the tolerance limits, by name; of groups and bodies the largest error.
+
+        NaN, which no tolerance limits, is infinite.
+        """
+        numbers = {
             "error": self.error,
-            "error of a group": max((group.error for group in self.groups), default=0.0),
-            "error of a body": max((body.error for body in self.bodies), default=0.0),
+            "error of a group": _largest([group.error for group in self.groups]),
+            "error of a body": _largest([body.error for body in self.bodies]),
             "equilibrium": self.equilibrium,
             "penetration": self.penetration,
-            "negative force": max(0.0, -self.smallest_force),
+            "negative force": _largest([-self.smallest_force]),
             "complementarity": self.complementarity,
             "friction above its bound": self.friction_excess,
             "slip below the bound": self.slip_below_bound,
             "slip across the force": self.slip_across_force,
             "slip bound": self.slip_bound_error,
         }
+        return {name: _largest([number]) for name, number in numbers.items()}
 
     @property
     def energy_norm(self) -> float:
-        """||u||_K [sqrt(J)]."""
+        """||u_t||_K [sqrt(J)]."""
         return float(np.sqrt(sum(group.energy_norm**2 for group in self.groups)))
+
+    @property
+    def energy_error(self) -> float:
+        """The largest error in the energy norm, of all, of groups and of bodies."""
+        numbers = self.numbers()
+        return max(numbers[name] for name in ("error", "error of a group", "error of a body"))
 
     @property
     def worst(self) -> float:
@@ -150,6 +163,7 @@ class Certificate:
         """Return the certificate with absolute bounds for nearly unloaded bodies and groups.
 
         Their errors are relative to a small part of the energy norm of all, if their own is less.
+        It is what limits them where rounding ends the iterations.
         """
         least = NEARLY_UNLOADED * self.energy_norm
 
@@ -159,5 +173,13 @@ class Certificate:
         return replace(
             self,
             groups=[replace(group, error=bounded(group)) for group in self.groups],
-            bodies=[replace(body, error=bounded(body)) for body in self.bodies],
+            bodies=[
+                replace(body, error=bounded(body), scale=max(body.scale, least))
+                for body in self.bodies
+            ],
         )
+
+
+def _largest(numbers: Sequence[float]) -> float:
+    """Return the largest number or 0, infinite if one is NaN."""
+    return max((np.inf if np.isnan(x) else float(x) for x in numbers), default=0.0)

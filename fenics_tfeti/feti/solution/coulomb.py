@@ -70,7 +70,7 @@ class _Step:
     def result(self, status: SolveStatus, reason: str) -> Outcome:
         """Return the outcome with the error of the slip bounds in its certificate."""
         candidate = self.outcome.candidate
-        certificate = replace(candidate.certificate, slip_bound_error=self.change)
+        certificate = replace(candidate.certificate, slip_bound_error=self.change, guaranteed=False)
         candidate = replace(candidate, certificate=certificate)
         return replace(self.outcome, candidate=candidate, status=status, reason=reason)
 

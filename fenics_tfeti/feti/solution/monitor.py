@@ -10,6 +10,7 @@ from mpi4py import MPI
 
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.solution.states import History, SlipBoundStep, Step
+from fenics_tfeti.parallel import raise_collectively
 
 logger = logging.getLogger(__name__)
 
@@ -22,19 +23,25 @@ class Monitor:
 
     history: History  # of the report
     comm: MPI.Intracomm
-    function: MonitorFunction | None = None  # called with each step on all ranks
+    function: MonitorFunction | None = None  # called with each step
+    watched: bool = False  # whether any rank has a function
     prints: bool = False  # rank 0 prints a line for each step
 
     def tell(self, step: Step) -> None:
-        """Tell of a face, an outer iteration of SMALBE-M, or a step of Coulomb's law."""
+        """Tell of a face, an outer iteration of SMALBE-M, or a step of Coulomb's law. Collective.
+
+        What a function raises on one rank is raised on all.
+        """
         number = self.history.append(step)
         if self.comm.rank == 0:
             line = describe_step(step, number)
             logger.info(line)
             if self.prints:
                 print(line, flush=True)
-        if self.function is not None:
-            self.function(step)
+        if self.watched:
+            with raise_collectively(self.comm):
+                if self.function is not None:
+                    self.function(step)
 
 
 def describe_step(step: Step, number: int) -> str:

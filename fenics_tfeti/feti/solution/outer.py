@@ -128,7 +128,9 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
             return best.outcome(loop, candidate, iterate.status, tolerance)
         stagnation = progress.judge(iterate.method, certificate, tolerance)
         if stagnation is Stagnation.FINAL:
-            if certificate.with_nearly_unloaded_bodies().worst <= limit:
+            relaxed = certificate.with_nearly_unloaded_bodies()
+            if relaxed.worst <= limit:
+                candidate = replace(candidate, certificate=relaxed)
                 return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if stagnation is Stagnation.OF_SMALBE:

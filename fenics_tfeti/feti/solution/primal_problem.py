@@ -107,7 +107,7 @@ class PrimalProblem:
         the shift that another displacement has made.
         """
         constraints = self.setup.constraints
-        if not constraints.has_friction:
+        if not constraints.friction.anywhere:
             return np.zeros(len(slips), dtype=bool)
         friction = constraints.friction
         B = constraints.matrix[friction.flat]

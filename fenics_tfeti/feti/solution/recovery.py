@@ -25,6 +25,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, least_penetration
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -148,11 +149,12 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
         of_tied = coupling.inverse(coupling.tied).solve(coupling.gather(forces)[0])
         forces[coupling.rows] = of_tied[coupling.positions]
     left = np.abs(load - F.constraint_forces(forces))
+    largest = largest_of_ranks(constraints.layout.comm, np.abs(load))
     rest = (
         not c[constraints.equality].any()
         and not c[constraints.friction.flat].any()
         and bool((c[constraints.inequality] >= 0.0).all())
-        and bool((left <= rounding(np.abs(load).max(initial=0.0), FEW)).all())
+        and bool((left <= rounding(largest, FEW)).all())
     )
     return forces if constraints.layout.comm.allreduce(rest, MPI.LAND) else None
 
@@ -247,7 +249,7 @@ def _free_motions(face: Projector, loose: LooseBodies, gap: Vector, multipliers:
     """
     coarse_space, T = face.coarse_space, loose.motions
     z = loose.motion(gap)
-    if coarse_space.constraints.has_friction:
+    if coarse_space.constraints.friction.anywhere:
         backwards, slips = _slips_against_friction(face, -gap, multipliers)
         against = (backwards @ (T @ z) - slips).max(initial=0.0)
         sizes = np.array([against, np.abs(slips).max(initial=0.0)])
@@ -271,6 +273,6 @@ def _slips_against_friction(
     along = balls.directions(friction.at_sites(multipliers))
     mine = constraints.owned_sites & ~friction.within(face.rows)
     sites = np.flatnonzero(mine & along.any(axis=1))
-    rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.row_lengths)
+    rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.lengths_of_rows())
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
     return (-(rows @ face.coarse_space.bodies.moved)).tocsr(), slips

@@ -182,7 +182,7 @@ class DualSetup:
         negative = sum(of_subdomains(local.classes, [i.negative for i in inverses]))
         of_all = system.comm.allreduce(negative)
         choice, reactions, eigenvalues = _chosen_reactions(
-            system, options, local, F, package, negative
+            system, options, local, F, package, of_all
         )
         preconditioner, scaling, modes = None, None, list[StiffModes | None]()
         if choice.kind == "dirichlet" and options.deflation != "off":
@@ -395,6 +395,7 @@ def _chosen_reactions(
     """Return the preconditioner of the options, or of "auto", and S of each class. Collective.
 
     With them the eigenvalues that trial displacements show, see `_by_trial_displacements`.
+    `negative` is the number of negative eigenvalues of the K_i of all ranks.
     """
     choice, lumped = Choice(options.preconditioner), list[Operator]()
     if choice.kind in ("auto", "lumped"):

@@ -46,7 +46,7 @@ def test_start_of_rigid_bodies():
             TornSystem([dataclasses.replace(block, load=force.ravel())], slides, rows, 3)
         )
         constraints = solver.setup.constraints
-        forces = (solver.data.feasible * constraints.row_lengths)[constraints.inequality]
+        forces = (solver.data.feasible * constraints.lengths_of_rows())[constraints.inequality]
         np.testing.assert_allclose(forces, expected, atol=1e-8)
 
 
@@ -70,5 +70,5 @@ def test_open_contacts_with_friction_do_not_press():
     system = TornSystem([block], Prescribed(), rows, 3, contact_names=names, friction=friction)
     solver = TornSolver(system)
     constraints = solver.setup.constraints
-    forces = (solver.data.feasible * constraints.row_lengths)[constraints.inequality]
+    forces = (solver.data.feasible * constraints.lengths_of_rows())[constraints.inequality]
     np.testing.assert_allclose(forces, np.repeat([0.25, 0.0, 0.0], 4), atol=1e-8)

@@ -104,6 +104,7 @@ SITES = FrictionRows(
     contact=np.zeros(3, dtype=np.int64),
     scale=np.ones(3),
     own=np.array([2, -1, 0]),
+    anywhere=True,
     curved=True,
     normal=np.array([0, -1, -1]),
     bound=SlipBound(np.array([5.0, 2.0, 0.0]), np.array([0.0, 0.5, 0.5])),

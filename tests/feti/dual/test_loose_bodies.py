@@ -66,7 +66,7 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     squeezing = np.zeros_like(settled)
     squeezing[rows] = penetration
     assert np.count_nonzero(penetration) == len(SHIFTS) * len(WALLS) * 9
-    depth = penetration / problem.constraints.row_lengths[rows]
+    depth = penetration / problem.constraints.lengths_of_rows()[rows]
     np.testing.assert_allclose(depth[depth > 0.0], 0.01, rtol=1e-8)
     balance = face.projector.free.T @ coarse_space.restrict(squeezing)
     np.testing.assert_allclose(balance, 0.0, atol=1e-8 * np.linalg.norm(squeezing))
@@ -95,7 +95,7 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     multipliers, gradient = np.zeros(size), problem.c.copy()
     multipliers[rows] = np.where(active, force, 1.0)
     # they touch the first wall, and the whole play is at the opposite one
-    lengths = problem.constraints.row_lengths[rows]
+    lengths = problem.constraints.lengths_of_rows()[rows]
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
     nothing = PCPGIterate(

@@ -261,3 +261,27 @@ def test_slip_across_the_force_is_relative_to_the_deformation(length):
     across = np.linalg.norm(found.slip - along[:, None] * force, axis=1)[~found.sticking].max()
     expected = across / deformation
     assert 1e-3 < expected == pytest.approx(found.report.certificate.slip_across_force, rel=1e-9)
+
+
+@pytest.mark.parametrize("name", ["penetration", "smallest_force", "error"])
+def test_nan_is_no_accuracy(name):
+    """It is infinite wherever it is, and in the name of the largest number."""
+    fields = dict.fromkeys(
+        ("bound", "error", "equilibrium", "penetration", "smallest_force", "complementarity"), 0.0
+    )
+    group, body = GroupError(["a"], 1.0, 0.0), BodyError("a", 1.0, np.nan, 1.0)
+    certificate = Certificate(**{**fields, name: np.nan}, groups=[group], bodies=[])
+    assert certificate.worst == np.inf
+    assert certificate.numbers()[certificate.worst_name] == np.inf
+    assert Certificate(**fields, groups=[group], bodies=[body]).worst == np.inf
+    assert Certificate(**fields, groups=[group], bodies=[]).worst == 0.0
+
+
+def test_bound_with_coulombs_law_is_that_of_the_last_slip_bounds():
+    system = pushed_block()
+    assert TornSolver(system).solve().report.certificate.guaranteed
+    law = {"bound": np.zeros(system.friction.size), "coefficient": np.full(16, 0.3)}
+    coulomb = with_fields(system, "friction", **law)
+    report = TornSolver(coulomb, Options(rtol=1e-3)).solve().report
+    assert not report.certificate.guaranteed
+    assert "estimated as" in str(report)

@@ -2,7 +2,10 @@
 
 import logging
 
+from mpi4py import MPI
+
 import pytest
+from sparse_rows import distributed
 from torn import column
 
 from fenics_tfeti.feti import ActiveSetStep, Options, TornSolver
@@ -42,3 +45,16 @@ def test_error_of_the_function_is_the_users_own():
 
     with pytest.raises(ZeroDivisionError):
         TornSolver(column()).solve(fail)
+
+
+@pytest.mark.ranks(2)
+def test_error_of_a_function_on_one_rank_is_one_on_all():
+    """Also where the others have no function."""
+    comm = MPI.COMM_WORLD
+
+    def fail(step):
+        raise ValueError("enough")
+
+    for function in (lambda step: comm.rank and fail(step), fail if comm.rank else None):
+        with pytest.raises(ValueError, match="enough"):
+            TornSolver(distributed(column(), comm)).solve(function)

@@ -2,12 +2,15 @@ from __future__ import annotations
 
 import dataclasses
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from friction_problems import pushed_block
+from sparse_rows import distributed
 from torn import column, cube, fixed_nodes, node_rows
 
-from fenics_tfeti.feti import ContactRows, Options, TornSolver
+from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.solution.recovery import balance_multipliers
 
 
@@ -36,6 +39,25 @@ def test_loose_body_gives_way_by_the_smallest_motion(overlap):
     solution = TornSolver(two_blocks(overlap), Options(rtol=1e-8)).solve()
     u = solution.displacements[1].reshape(-1, 3)
     np.testing.assert_allclose(u, np.tile([max(overlap, 0.0), 0, 0], (len(u), 1)), atol=1e-9)
+
+
+@pytest.mark.ranks(1, 2, 3)
+def test_loads_that_copies_share_out_are_at_rest_on_any_ranks():
+    """Copies of a node have loads that cancel; that of the first one's rank is zero."""
+    corners = (0, 0, 0), (1, 0, 0), (0, 1, 0)
+    cubes = [
+        dataclasses.replace(s, stiffness=factor * s.stiffness)
+        for s, factor in zip(map(cube, (2, 2, 2), corners), (1.0, 7.0, 0.3), strict=True)
+    ]
+    shared = np.intersect1d(np.intersect1d(cubes[0].nodes, cubes[1].nodes), cubes[2].nodes)[0]
+    for block, load in zip(cubes, (0.0, 0.1, -0.1), strict=True):
+        block.load[3 * np.flatnonzero(block.nodes == shared)] = load
+    bottom = np.unique(np.concatenate([s.nodes[s.coordinates[:, 2] == 1] for s in cubes]))
+    fixed = fixed_nodes(bottom, [0, 1, 2])
+    system = distributed(TornSystem(cubes, fixed, ContactRows.none(3), 3), MPI.COMM_WORLD)
+    solution = TornSolver(system).solve()
+    assert solution.report.products["total"] == 0
+    assert not any(u.any() for u in solution.displacements)
 
 
 def test_forces_at_their_bound_turn_to_balance_the_load():
