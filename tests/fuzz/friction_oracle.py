@@ -62,7 +62,7 @@ _OF_OTHERS = 1e-5
 _EPS = float(np.finfo(float).eps)
 # words of the package where supports slide what friction holds in another direction, where they
 # leave the force of Coulomb's law unknown, and where its fixed point does not contract
-_PRESCRIBED, _UNKNOWN = "or tied rows slide", "the normal force is not known"
+_PRESCRIBED, _UNKNOWN = "prescribed displacements slide", "the normal force is not known"
 _NO_CONTRACTION = ("the slip bounds of Coulomb's law do not converge", "no slip bounds near")
 
 

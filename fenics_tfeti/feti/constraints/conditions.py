@@ -131,11 +131,15 @@ def condition_rows(
     free, flexibility = _free_rows(terms, gap.size)
     finite = np.isfinite(gap)
     infinite_gaps = int(comm.allreduce(int(np.count_nonzero(~finite))))
-    # there is no friction where nothing can touch
-    slip = tangential.mask
-    finite[slip] = ~(~free & (gap > tolerance) | ~finite)[normal[slip]]
+    slip, bounded = tangential.mask, np.zeros(gap.size, dtype=bool)
+    bounded[slip] = np.repeat(system.friction.bound > 0.0, system.gdim - 1)
+    # there is no friction where there is nothing to touch, and none of a normal force where the gap
+    # stays open
+    stays_open = ~free & (gap > tolerance)
+    finite[slip] &= finite[normal[slip]] & (bounded[slip] | ~stays_open[normal[slip]])
     with raise_collectively(comm):
         _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~slip)
+        check_slides(contacts, tangential, np.where(finite, gap, 0.0), tolerance, free)
     kept = finite & free
     scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), tangential, kept)
     number, area = first_of_rank(comm, gap.size)[0], np.asarray(contacts.area)
@@ -150,17 +154,16 @@ def condition_rows(
             tangential.site,
             tangential.direction,
             np.where(slip, number + normal, -1),
+            bounded,
         ),
         _free_terms(system, terms, kept, number, directory),
         system.gdim,
         directory,
         comm,
     )
-    slips = np.where(finite, redundancy.left / scale, 0.0)
-    with raise_collectively(comm):
-        check_slides(contacts, tangential, slips, tolerance, free & redundancy.has_row)
     kept &= redundancy.has_row
-    _check_pressed(system, kept, free)
+    closed = redundancy.closed | (~free & ~stays_open)
+    _check_pressed(system, kept, free, closed[: system.contacts.size])
 
     own = kept & redundancy.own
     rows = np.full(gap.size, -1, dtype=np.int64)
@@ -360,16 +363,16 @@ def _check_decided_rows(
     )
 
 
-def _check_pressed(system: TornSystem, has_row: Mask, free: Mask) -> None:
+def _check_pressed(system: TornSystem, has_row: Mask, free: Mask, closed: Mask) -> None:
     """Check that the normal force is known where the bound of friction depends on it. Collective.
 
     `has_row` tells which conditions of this rank have rows, `free` which of them prescribed
-    displacements do not decide.
+    displacements do not decide, and `closed` which contact rows they or tied rows close.
     """
     friction, contacts, comm = system.friction, system.contacts, system.comm
     of_friction = has_row[contacts.size + system.tied.size :]
     slips = of_friction.reshape(friction.size, system.gdim - 1).any(axis=1)
-    unknown = slips & ~has_row[friction.row] & (np.asarray(friction.coefficient) > 0.0)
+    unknown = slips & closed[friction.row] & (np.asarray(friction.coefficient) > 0.0)
     by_ties, by_supports = (friction.row[unknown & mask[friction.row]] for mask in (free, ~free))
     with raise_collectively(comm):
         if by_ties.size:

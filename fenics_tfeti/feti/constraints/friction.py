@@ -259,12 +259,12 @@ class FrictionRows:
 def check_slides(
     contacts: ContactRows, tangential: Tangential, gap: Vector, tolerance: Vector, free: Mask
 ) -> None:
-    """Check that supports and ties slide nothing that may slip in another direction.
+    """Check that prescribed displacements slide nothing that may slip in another direction.
 
     The conditions (r,) are all of this rank; the tangential rows of a site follow each other. `gap`
-    is the right-hand side without the part that prescribed displacements and tied rows decide,
-    `tolerance` its rounding, `free` tells whether a row has a part that is left. Raises an
-    InputError on this rank that names the first slave node.
+    is the right-hand side without the part that prescribed displacements decide, `tolerance` its
+    rounding, `free` tells whether a row has a free part. Raises an InputError on this rank that
+    names the first slave node.
     """
     first = np.flatnonzero(tangential.mask & (tangential.direction == 0))
     second = np.flatnonzero(tangential.mask & (tangential.direction == 1))
@@ -275,10 +275,9 @@ def check_slides(
     if sliding.any():
         k = decided[np.flatnonzero(sliding)[0]]
         raise InputError(
-            "friction: prescribed displacements or tied rows slide "
-            f"{np.count_nonzero(sliding)} contact rows in one tangential direction and leave the "
-            f"other free, the first by {-gap[k]:g} at slave node {contacts.slave[k]}. Prescribe "
-            "both directions, or take friction out"
+            f"friction: prescribed displacements slide {np.count_nonzero(sliding)} contact rows in "
+            f"one tangential direction and leave the other free, the first by {-gap[k]:g} at "
+            f"slave node {contacts.slave[k]}. Prescribe both directions, or take friction out"
         )
 
 

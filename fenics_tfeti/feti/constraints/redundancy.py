@@ -5,7 +5,7 @@ motions of the body. Equal conditions have one row of B and share its force by t
 rows with the same normal and gap, tied rows of surfaces that are tied twice, tangential rows with
 the same slip whose contact rows are one. Of parallel contact rows with other gaps those with the
 smallest one alone can touch. A condition that is a sum of tied rows is decided by them and has no
-row. Where a contact row has none there is no friction, but where it is closed.
+row. A contact row without a row has no force that friction could be a part of.
 
 The rows that remain need not be orthogonal to each other: their Gram matrix W is the part of
 B D^{-1} B' = blockdiag(I, W) that differs from the identity.
@@ -58,6 +58,7 @@ class Conditions:
     site: Numbers  # (k,): site of friction of tangential rows; -1 of others
     direction: Numbers  # (k,): number of the tangent
     normal: Numbers  # (k,): number of the contact row of tangential rows; -1 of others
+    bounded: Mask  # (k,): tangential rows with a slip bound that needs no normal force
 
     def chosen(self, rows: Mask) -> Conditions:
         """Return some of the conditions."""
@@ -74,8 +75,7 @@ class Redundancy:
     # -1 without a row
     row: Numbers
     share: Vector  # (k,): part of the row's force, negative for a condition opposite to the row
-    decided: Mask  # (k,): conditions that tied rows decide
-    left: Vector  # (k,): right-hand sides less what tied rows decide of them
+    closed: Mask  # (k,): conditions that tied rows hold with equality
     dropped: int  # contact and tied rows without a row of their own, over all ranks
     coupled: Mask  # (k,): rows of this rank that are not orthogonal to all others
     # of the coupled rows of all ranks, rank by rank; the same on all ranks
@@ -127,8 +127,7 @@ def find_redundant(
         spread(own, ~no),
         row[here],
         spread(share, one),
-        spread(compared.decided, no),
-        spread(compared.left, conditions.rhs),
+        spread(compared.closed, no),
         int(np.count_nonzero(~own & (rows.site < 0))),
         spread(coupled, no),
         gram,
@@ -161,7 +160,7 @@ class _Compared:
     gram: sp.csr_matrix  # (k, k): B D^{-1} B'
     is_motion: Mask  # (n,): columns that are motions of rigid bodies
     decided: Mask  # (k,): sums of tied rows
-    left: Vector  # (k,): right-hand sides less what tied rows decide, without rounding
+    closed: Mask  # (k,): of which the tied rows leave nothing of the right-hand side
     # pairs (p,) of conditions with parallel terms, and the signs of their products
     i: Numbers
     j: Numbers
@@ -182,8 +181,8 @@ class _Compared:
         i, j, sign = _parallel_pairs(matrix, gram)
         contradicted = decided & (rows.site < 0) & (left < -tolerance)
         _check_room(rows, i, j, sign, contradicted, matrix, columns // gdim)
-        left = np.where(np.abs(left) <= tolerance, 0.0, left)
-        return _Compared(rows, matrix, gram, columns < 0, decided, left, i, j, sign)
+        closed = decided & (np.abs(left) <= tolerance)
+        return _Compared(rows, matrix, gram, columns < 0, decided, closed, i, j, sign)
 
     def rows(self) -> tuple[Numbers, Vector]:
         """Return the condition whose row each one has, or -1, and its share of the row's force."""
@@ -204,9 +203,9 @@ class _Compared:
         rows, own = self.conditions, np.arange(row.size)
         normal = positions(rows.number, rows.normal)
         contact = np.where(normal < 0, -1, row[normal])
-        closed = self.decided & (self.left == 0.0)
-        is_open = (normal >= 0) & (contact < 0) & ~closed[normal]
-        active = (rows.site >= 0) & ~self.decided & ~is_open
+        is_open = (normal >= 0) & (contact < 0) & ~self.closed[normal]
+        # tied rows may prescribe a slip, which friction resists
+        active = (rows.site >= 0) & ~self.closed & (rows.bounded | ~is_open)
         i, j = self.i, self.j
         same = active[i] & active[j] & (contact[i] >= 0) & (contact[i] == contact[j])
         same &= (self.sign > 0.0) & (rows.direction[i] == rows.direction[j])
