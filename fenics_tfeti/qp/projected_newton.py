@@ -116,7 +116,8 @@ def projected_newton(
         gap,
         feasible,
         np.zeros_like(z) if load is None else load,
-        float(diagonal.max(initial=0.0)),
+        # without springs the distance has a weight all the same
+        float(diagonal.max(initial=0.0)) or 1.0,
         sum_vectors,
         sum_matrices,
     )

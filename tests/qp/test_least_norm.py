@@ -10,7 +10,14 @@ import scipy.sparse as sp
 from qp_problems import Problem
 from scipy.optimize import minimize, nnls, root
 
-from fenics_tfeti.qp import Bounds, Discs, ProductSet, least_norm, smallest_factor
+from fenics_tfeti.qp import (
+    Bounds,
+    Discs,
+    ProductSet,
+    least_norm,
+    projected_newton,
+    smallest_factor,
+)
 
 pytestmark = pytest.mark.once
 
@@ -204,3 +211,20 @@ def test_many_sparse_rows():
     expected, _ = least_norm(C, d)
     np.testing.assert_allclose(x, expected, atol=1e-9)
     assert np.linalg.norm(residual) <= 1e-12 * np.linalg.norm(d)
+
+
+@pytest.mark.parametrize("columns", [0, 3])
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_matrix])
+def test_columns_that_resist_nothing(kind, columns):
+    """The load is left as it is."""
+    load = np.array([1.0, -2.0])
+    x, residual = least_norm(kind(np.zeros((2, columns))), load)
+    assert not x.any()
+    np.testing.assert_array_equal(residual, load)
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sp.csr_matrix])
+def test_load_without_springs_moves_along_itself(kind):
+    load = np.array([1.0, -2.0])
+    z = projected_newton(kind(np.zeros((0, 2))), np.zeros(0), load=load)
+    np.testing.assert_allclose(z / np.linalg.norm(z), load / np.linalg.norm(load), rtol=1e-12)
