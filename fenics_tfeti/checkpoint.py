@@ -6,7 +6,7 @@ Any number of ranks may read it, whatever subdomains they have.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 
 import numpy as np
@@ -14,7 +14,8 @@ import numpy as np
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues
+from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti import ContactGuess
@@ -22,7 +23,7 @@ from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
-_FORMAT = "fenics_tfeti step 1"
+_FORMAT = "fenics_tfeti step 2"
 
 
 @dataclass(frozen=True)
@@ -34,38 +35,35 @@ class Step:
     origin: SlipOrigin  # from where friction counts slip
     number: int = 0  # of accepted steps
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
-    # the load of the last of adaptive steps and the length of the next one, NaN without
+    # of adaptive steps the load of the last one, the length of the next one, negative towards
+    # smaller loads, the load at the end of all, NaN without; and how many easy ones are the last
     load: float = np.nan
     length: float = np.nan
+    end: float = np.nan
+    easy: int = 0
     # places of rigid bodies with finite strains, see `RigidBodies.saved`; the same on all ranks
-    bodies: Vector = field(default_factory=lambda: np.zeros((0, 0)))
+    bodies: Mapping[str, Vector] = field(default_factory=dict)
 
     @staticmethod
     def at(origin: SlipOrigin) -> Step:
         """Return the step before the first one."""
-        return Step(origin.displacement, SlaveValues.of([]), origin)
-
-    def of_first(self, contacts: int) -> Step:
-        """Return the step without contacts that are no longer there."""
-        origin = replace(self.origin, obstacles=self.origin.obstacles.of_first(contacts))
-        return replace(self, force=self.force.of_first(contacts), origin=origin)
+        return Step(origin.displacement, SlaveValues(), origin)
 
     def accepted(self, obstacles: SlaveValues) -> Step:
         """Return the step that follows: friction counts slip from the end of this one."""
         origin = SlipOrigin(self.displacement, obstacles)
         return replace(self, origin=origin, number=self.number + 1)
 
-    def guess(self, pairings: Sequence[ContactPairing]) -> ContactGuess:
+    def guess(self, conditions: ContactSet) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
-        force = self.force.at_conditions(pairings)
+        force = conditions.at_conditions(self.force)
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 
-def write_step(
-    path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str], step: Step
-) -> None:
-    """Write a checkpoint on rank 0, with the contacts' names, or leave the old one. Collective."""
-    parts = nodes.comm.gather(_arrays(step, nodes))
+def write_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet, step: Step) -> None:
+    """Write a checkpoint of a kind of problem on rank 0, or leave the old one. Collective."""
+    nodes = conditions.boundary.nodes
+    parts = nodes.comm.gather(_arrays(step, nodes, conditions.keys))
     with raise_collectively(nodes.comm):
         if parts is not None:
             arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -73,17 +71,21 @@ def write_step(
             nodal = ("numbers", "coordinates", "displacement", "slip_origin")
             arrays |= {name: arrays[name][order] for name in nodal}
             passes = np.array([astuple(p) for p in step.passes])
+            bodies = [*step.bodies.values()]
             arrays |= {
-                "contacts": np.array(contacts, dtype=np.str_),
+                "problem": np.array([kind]),
+                "contacts": np.array(conditions.keys, dtype=np.str_),
                 "number": np.array(step.number),
-                "load": np.array([step.load, step.length]),
+                "load": np.array([step.load, step.length, step.end]),
+                "easy": np.array(step.easy),
                 "passes": passes.reshape(-1, len(fields(GeometryPass))),
-                "bodies": step.bodies,
+                "body_names": np.array([*step.bodies], dtype=np.str_),
+                "bodies": np.array(bodies).reshape(len(bodies), -1 if bodies else 0),
             }
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
-def _arrays(step: Step, nodes: NodeMap) -> dict[str, Array]:
+def _arrays(step: Step, nodes: NodeMap, keys: Sequence[str]) -> dict[str, Array]:
     """Return this rank's part of a file: values at all nodes, and at some of each contact."""
     numbers, shape = nodes.input_numbers, (nodes.owned, nodes.components)
     arrays: dict[str, Array] = {
@@ -93,25 +95,38 @@ def _arrays(step: Step, nodes: NodeMap) -> dict[str, Array]:
         "slip_origin": step.origin.displacement.reshape(shape),
     }
     for name, values in (("force", step.force), ("obstacle", step.origin.obstacles)):
-        arrays[name], arrays[f"{name}_contact"] = values.values, values.contact
-        arrays[f"{name}_node"] = numbers[values.nodes]
+        none = np.zeros(0, dtype=np.int64), np.zeros((0, *values.shape))
+        parts = [none, *(values.of_contact.get(key, none) for key in keys)]
+        size = [rows.size for rows, _ in parts]
+        local, arrays[name] = (np.concatenate(column) for column in zip(*parts, strict=True))
+        arrays[f"{name}_node"] = numbers[local]
+        arrays[f"{name}_contact"] = np.repeat(np.arange(-1, len(keys)), size)
     return arrays
 
 
-def read_step(path: str | os.PathLike[str], nodes: NodeMap, contacts: Sequence[str]) -> Step:
-    """Read the part of this rank from a checkpoint of the same mesh and contacts. Collective."""
+def read_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet) -> Step:
+    """Read the part of this rank from a checkpoint of the same kind of problem. Collective.
+
+    It is of the same mesh and has the same contacts, in any order.
+    """
+    nodes = conditions.boundary.nodes
     own = nodes.input_numbers  # collective
     with raise_collectively(nodes.comm), open_arrays(path, _FORMAT) as file:
-        step = _read(file, nodes, own, contacts)
+        step = _read(file, kind, conditions, own)
     return step
 
 
-def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]) -> Step:
+def _read(file: ArrayFile, kind: str, conditions: ContactSet, own: Numbers) -> Step:
+    nodes = conditions.boundary.nodes
     coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
     rows = positions(numbers, own)
-    if file.strings("contacts") != list(contacts):
-        raise _of_another_problem(file, "contacts")
+    _check_same(file, "kinds", file.strings("problem"), [kind])
+    keys = file.strings("contacts")
+    _check_same(file, "contacts", keys, conditions.keys)
+    bodies = _bodies(file)
+    if bodies:
+        _check_same(file, "rigid bodies", [*bodies], [f.key for f in conditions.bodies.frames])
     if np.any(rows < 0) or numbers.size != nodes.total:
         raise _of_another_problem(file, "nodes")
 
@@ -127,15 +142,16 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         node = file.read(f"{name}_node", "integers", (None,))
         contact = file.read(f"{name}_contact", "integers", (node.size,))
         entries = file.read(name, "numbers", (node.size, *shape))
-        if np.any((contact < 0) | (contact >= len(contacts))):
+        if np.any((contact < 0) | (contact >= len(keys))):
             raise InputError(f"{file.path}: the array '{name}_contact' has numbers of no contact")
         row = positions(own[order], node)
-        here = row >= 0
-        return SlaveValues(contact[here], order[row[here]], entries[here])
+        here = [np.flatnonzero((row >= 0) & (contact == k)) for k in range(len(keys))]
+        parts = ((order[row[chosen]], entries[chosen]) for chosen in here)
+        return SlaveValues(dict(zip(keys, parts, strict=True)), shape)
 
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
-    load: tuple[float, float] = tuple(file.read("load", "numbers", (2,)).tolist())
+    load: tuple[float, float, float] = tuple(file.read("load", "numbers", (3,)).tolist())
     return Step(
         nodal("displacement").ravel(),
         of_contacts("force"),
@@ -143,9 +159,26 @@ def _read(file: ArrayFile, nodes: NodeMap, own: Numbers, contacts: Sequence[str]
         file.integer("number"),
         [replace(entry, products=int(entry.products)) for entry in finished],
         *load,
-        bodies=file.read("bodies", "numbers", (None, None)),
+        easy=file.integer("easy"),
+        bodies=bodies,
     )
 
 
-def _of_another_problem(file: ArrayFile, name: str) -> InputError:
-    return InputError(f"{file.path}: the checkpoint is that of another problem: the {name} differ")
+def _bodies(file: ArrayFile) -> dict[str, Vector]:
+    """Return the places of rigid bodies by key."""
+    names = file.strings("body_names")
+    places = file.read("bodies", "numbers", (len(names), None))
+    return dict(zip(names, places, strict=True))
+
+
+def _check_same(file: ArrayFile, what: str, there: Sequence[str], here: Sequence[str]) -> None:
+    """Check that a file has the same names as the problem, in any order."""
+    if sorted(there) != sorted(here):
+        names = f": it has {', '.join(there) or 'none'}, this problem {', '.join(here) or 'none'}"
+        raise _of_another_problem(file, what, names)
+
+
+def _of_another_problem(file: ArrayFile, what: str, names: str = "") -> InputError:
+    return InputError(
+        f"{file.path}: the checkpoint is that of another problem: the {what} differ{names}"
+    )

@@ -5,11 +5,18 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 from fenics_tfeti.checkpoint import Step, read_step, write_step
-from fenics_tfeti.errors import ContactError, InputError, NotConverged, wrong_type
+from fenics_tfeti.errors import (
+    InputError,
+    Interrupted,
+    NotConverged,
+    UnresistedMotion,
+    wrong_type,
+)
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
@@ -37,11 +44,14 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
     options: ContactOptions
 
+    _kind: str  # in checkpoints
     _report_type: type[AnyReport]
     _report: AnyReport | None = None
     _is_solved = _is_restored = False
     _solved: SolvedContacts | None = None
     _solver: TornSolver | None = None
+    # what belongs to `u`
+    _state: tuple[str, ...] = ("results", "rigid_bodies", "_solved", "_step")
 
     def __init__(
         self,
@@ -103,7 +113,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         Raises
         ------
         InputError
-            If nothing was solved since the last step.
+            If nothing was solved since the last step, or the last solve has not converged.
 
         Examples
         --------
@@ -112,7 +122,10 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         ...     problem.advance()
         """
         if not self._is_solved:
-            raise InputError("there is no step to accept; call solve() before advance()")
+            reason = "there is no step to accept"
+            if self._report is not None and not self._report.converged:
+                reason += f": the last solve has not converged ({self._report.reason})"
+            raise InputError(f"{reason}; call solve() before advance(), and let it converge")
         assert self._solved is not None
         self._step = self._step.accepted(self._solved.obstacle_displacements())
         self._is_solved = False
@@ -136,20 +149,24 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
         A step that fails is halved; after two easy ones in a row, the next ones are twice as long.
         With finite strains a step is easy that took no more than half of ``newton_max_it`` steps of
-        Newton's method, otherwise each that did not fail. Where a step of a thousandth of all
-        fails, loads and `u` are left at the last accepted step.
+        Newton's method, otherwise each that did not fail. A step that has not converged fails,
+        whatever the option ``error_if_not_converged``. Where a step of a thousandth of all fails,
+        loads, `u` and `results` are left at the last accepted step.
 
         After `restore` of a checkpoint that was saved between such steps they go on from its load,
         with steps as long as they would have been; nothing is solved, but `set_load` called, where
-        that is at or behind `end`.
+        that is at or behind `end`. Of several calls in one script, these should be in one
+        direction: a load that rises and falls is a function of a time that rises.
 
         Parameters
         ----------
         set_load : callable
             Called with a number between `begin` and `end`: sets loads, prescribed displacements and
-            obstacles. The loads of a step that fails are set back by the next call.
+            obstacles. The loads of a step that fails are set back by the next call. Its own errors
+            end the steps.
         begin, end : float
-            The present load, which is not solved for, and that of the last step.
+            The present load, which is not solved for, and that of the last step, which may be the
+            smaller one.
         first : float, optional
             Length of the first step, by default all in one.
 
@@ -161,7 +178,9 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         Raises
         ------
         NotConverged, InputError
-            That of the shortest step, if it fails too.
+            That of the shortest step, if it fails too. Supports and contacts of a wrong type, and
+            loads that nothing resists on undeformed surfaces without friction, end the steps at
+            once.
 
         Examples
         --------
@@ -173,26 +192,29 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """
         if not callable(set_load):
             raise wrong_type("steps: set_load", set_load, "a function of the load")
-        length = end - begin if first is None else first
-        if not (begin < end and length > 0.0):
+        total = abs(end - begin)
+        length = total if first is None else first
+        if not (total > 0.0 and length > 0.0):
             raise InputError(
-                f"load steps from {begin:g} to {end:g}, the first of {length:g}: the end has to be "
-                "after the beginning, and the first step longer than 0"
+                f"load steps from {begin:g} to {end:g}, the first of {length:g}: the end has to "
+                "differ from the beginning, and the first step has to be longer than 0"
             )
-        t, easy = begin, 0
-        if self._solved is None and self._step.load > begin:
-            t, length = self._step.load, self._step.length
-            set_load(min(t, end))
-        while t < end:
-            rest = end - t
-            is_last = rest - length < _SHORTEST * (end - begin)
-            step, target = (rest, end) if is_last else (length, t + length)
+        sign = 1.0 if end > begin else -1.0
+        t, length, easy = self._start_of_steps(begin, sign, length)
+        if t != begin:
+            set_load(min(t, end, key=lambda load: sign * load))
+        while sign * (end - t) > 0.0:
+            rest = sign * (end - t)
+            is_last = rest - length < _SHORTEST * total
+            step, target = (rest, end) if is_last else (length, t + sign * length)
+            set_load(target)
+            self._check_data()
             try:
-                self._solve_at(set_load, target)
+                self._solve_step()
             except (InputError, NotConverged) as error:
                 # an obstacle may have no gap where the surfaces are before a long step
                 length, easy = 0.5 * step, 0
-                if length >= _SHORTEST * (end - begin):
+                if length >= _SHORTEST * total and self._may_help(error):
                     continue
                 set_load(t)
                 if isinstance(error, InputError):
@@ -208,8 +230,25 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             t = target
             if easy == 2:
                 length, easy = 2.0 * length, 0
-            self._step = replace(self._step, load=t, length=length)
+            self._step = replace(self._step, load=t, length=sign * length, easy=easy, end=end)
             yield t
+
+    def _start_of_steps(self, begin: float, sign: float, first: float) -> tuple[float, float, int]:
+        """Return the load that steps start from, the length of the first, and the easy ones before.
+
+        They are those of a checkpoint that was restored, if it was saved between the same steps.
+        """
+        load, length = self._step.load, self._step.length
+        is_restored = self._solved is None and sign * (load - begin) >= 0.0
+        if not is_restored or load == begin == self._step.end:
+            return begin, first, 0
+        if sign * length < 0.0:
+            raise InputError(
+                f"load steps from {begin:g} have another direction than those of the checkpoint, "
+                f"which was saved at the load {load:g} of steps to {self._step.end:g}: call these "
+                "steps first"
+            )
+        return load, abs(length), self._step.easy
 
     def _check_data(self) -> None:
         """Check the present supports, contacts and displacement, which the user may have set."""
@@ -217,6 +256,17 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             self.bcs = as_conditions(self.bcs)
             self.contacts = as_contacts(self.contacts, self._exact)
             self.u = as_displacement(self.u, self.space)
+
+    def _refresh(self) -> None:
+        """Take what has changed since the last solve or the set-up."""
+        self._check_data()
+        if self._torn.torn.has_moved():
+            self.reset_slip()
+        self._update()
+
+    @abstractmethod
+    def _update(self) -> None:
+        """Find and assemble what has changed."""
 
     def _store(
         self, solution: TornSolution, conditions: ContactSet, bodies: RigidBodies, **report: Any
@@ -244,15 +294,36 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Tell whether a step that did not fail was an easy one."""
         return True
 
-    def _solve_at(self, set_load: Callable[[float], Any], load: float) -> None:
-        """Solve at a load; the displacement is that before if there is no solution."""
-        start = owned_values(self.u)
-        set_load(load)
-        try:
+    def _solve_step(self) -> None:
+        """Solve at the present load; an error leaves the problem as it was before."""
+        with self._as_before_errors():
             self.solve()
-        except ContactError:
-            fill_owned(self.u, start)
+            if not self.report.converged:
+                raise NotConverged(self.report.reason, self.u, self.report)
+
+    @contextmanager
+    def _as_before_errors(self) -> Iterator[None]:
+        """Set displacement and results back to those before where the block raises an error.
+
+        The displacement of an interruption stays.
+        """
+        start, kept = owned_values(self.u), {name: getattr(self, name) for name in self._state}
+        try:
+            yield
+        except Interrupted:
             raise
+        except BaseException as error:
+            if isinstance(error, NotConverged) and error.solution is self.u:
+                error.solution = self.u.copy()
+            fill_owned(self.u, start)
+            vars(self).update(kept)
+            raise
+
+    def _may_help(self, error: Exception) -> bool:
+        """Tell whether a shorter step may succeed where a longer one has failed with an error."""
+        has_friction = any(getattr(contact, "friction", None) for contact in self.contacts)
+        is_unresisted = isinstance(error, UnresistedMotion)
+        return not is_unresisted or has_friction or bool(self._exact)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a checkpoint for `restore`, or leave an old one as it is. Collective.
@@ -309,7 +380,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """
         if self._solved is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._torn.nodes, self._torn.names)
+        self._step = read_step(path, self._kind, self._torn.undeformed)
         self._is_restored = True
         fill_owned(self.u, self._step.displacement)
         return self._step.number
@@ -317,4 +388,4 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
         if checkpoint is not None:
-            write_step(checkpoint, self._torn.nodes, self._torn.names, self._step)
+            write_step(checkpoint, self._kind, self._torn.undeformed, self._step)

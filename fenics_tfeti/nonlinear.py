@@ -12,7 +12,7 @@ import numpy as np
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, Interrupted, NotConverged
+from fenics_tfeti.errors import InputError, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_residual
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
@@ -99,7 +99,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
     options: NewtonOptions
 
-    _exact = "NonlinearContactProblem"
+    _exact = _kind = "NonlinearContactProblem"
     _report_type = NonlinearReport
 
     def __init__(
@@ -162,21 +162,17 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         UnresistedMotion
             A load pushes a body where nothing holds it.
         NotConverged
-            Newton's method found no equilibrium; `u` is what it was before.
+            Newton's method found no equilibrium; `u` and `results` are what they were before, the
+            error's ``solution`` is the last iterate. With the option ``error_if_not_converged``
+            false, that is returned, `results` and `report` are its own.
         Interrupted
             After Ctrl-C or SIGINT to one rank, on all of them; `u` is the last iterate, from which
             solving again goes on.
         """
-        start, step = owned_values(self.u), self._step
         with interruption.deferred():
             try:
-                self._solve(monitor, checkpoint)
-            except Interrupted:
-                raise
-            except BaseException:
-                fill_owned(self.u, start)
-                self._step = step
-                raise
+                with self._as_before_errors():
+                    self._solve(monitor, checkpoint)
             finally:
                 self._timer.restart()
         self._view()
@@ -210,23 +206,21 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
                 )
                 self._save(checkpoint)
         except NotConverged as error:
-            if iteration.steps:
-                self._report = replace(self.report, converged=False, reason=str(error))
-                error.report = self.report
-            raise
+            if not iteration.steps:
+                raise
+            # a last step may have failed after it had changed u
+            fill_owned(self.u, self._step.displacement)
+            self._report = replace(self.report, converged=False, reason=str(error))
+            error.solution, error.report = self.u, self.report
+            if self.options.solver.error_if_not_converged:
+                raise
+            return
         finally:
             self._solver = iteration.solver
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
 
-    def _refresh(self) -> None:
-        """Take the present supports and contacts."""
-        self._check_data()
-        if self._torn.torn.has_moved():
-            self.reset_slip()
-        elif list(map(id, self.contacts)) == list(map(id, self._torn.data.contacts)):
-            self._torn.update_supports(self.bcs)
-            return
-        self._torn.update(self.bcs, self.contacts)
-        self._step = self._step.of_first(len(self._torn.names))
+    def _update(self) -> None:
+        if not self._torn.update_supports(self.bcs, self.contacts):
+            self._torn.update(self.bcs, self.contacts)

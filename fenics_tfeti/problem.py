@@ -20,7 +20,7 @@ from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Exact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
-from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, check_coarse, expected_contact
+from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
@@ -110,7 +110,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
     >>> uh = problem.solve()  # doctest: +SKIP
     """
 
+    _kind = "ContactProblem"
     _report_type = ContactReport
+    _state = (*SteppedProblem._state, "_deformed")
 
     def __init__(
         self,
@@ -174,9 +176,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
             The same problem on a coarser mesh (any mesh will do), solved: its contact, pressures
             and gaps transferred to this mesh, is where the iterations start. With elements twice
             as large it leaves hardly more of them than a problem whose contact is known. That pays
-            where the coarse problem is solved anyway, or is much smaller. The contacts have to be
-            the same, in the same order and under the same names. The surfaces of the coarse mesh
-            are gathered on all ranks.
+            where the coarse problem is solved anyway, or is much smaller. The contacts have to have
+            the same kinds and names or, without names, tags. The surfaces of the coarse mesh are
+            gathered on all ranks.
         monitor : callable, optional
             Called on all ranks with an `ActiveSetStep` for each face of the active set method and
             an `OuterIteration` for each outer iteration of SMALBE-M, when they end. The option
@@ -219,10 +221,11 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 raise
             finally:
                 self._timer.restart()
-            self._is_solved = True
+            self._is_solved = self.report.converged
             self._has_warned = self._has_warned or self._warn_of_large_motions(uh)
-            self._step = replace(self._step, passes=())
-            self._save(checkpoint)
+            if self._is_solved:
+                self._step = replace(self._step, passes=())
+                self._save(checkpoint)
             try:
                 interruption.check(self.space.mesh.comm)
             except Interrupted:
@@ -239,14 +242,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(Function(self.space))
 
-    def _refresh(self) -> None:
-        """Update the system by all that changed since the last solve or the set-up."""
-        self._check_data()
+    def _update(self) -> None:
         if self._torn.torn.has_moved():
             self._deformed = None
-            self.reset_slip()
         self._torn.update(self.bcs, self.contacts, self._release)
-        self._step = self._step.of_first(len(self._torn.names))
         self.system = self._torn.system(self._step.origin)
 
     def _release(self) -> None:
@@ -283,17 +282,34 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def _solved_on(self, coarse: Any) -> list[SolvedContact]:
         """Return the contact of a problem on another mesh, whatever the user gave as one."""
+        method = self.options.solver.method
         with raise_collectively(self.space.mesh.comm):
             if not isinstance(coarse, ContactProblem):
                 raise InputError(
                     f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "
                     "another mesh"
                 )
-            check_coarse(coarse.system, self.system, self.options.solver.method)
+            if coarse.system.gdim != self.system.gdim:
+                raise InputError(
+                    f"the coarse problem has {coarse.system.gdim} dimensions, this one has "
+                    f"{self.system.gdim}"
+                )
+            keys, own_keys = coarse._torn.undeformed.keys, self._torn.undeformed.keys
+            if sorted(keys) != sorted(own_keys):
+                raise InputError(
+                    f"the coarse problem has the contacts {keys}, this one has {own_keys}: give "
+                    "both problems the same contacts under the same names"
+                )
+            if method != "active_set":
+                raise InputError(
+                    f"a coarse problem is a start for method='active_set'; with {method!r} leave "
+                    "it out"
+                )
             if coarse._solved is None:
                 raise InputError("the coarse problem is not solved; call its solve() first")
         with self._timer.phase("coarse contact"):
-            return coarse._solved.gathered()
+            gathered = coarse._solved.gathered()
+        return [gathered[key] for key in own_keys]
 
     def _solve_linearised(
         self,
@@ -327,7 +343,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 return expected_contact(coarse, conditions.pairings)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        return self._step.guess(conditions.pairings)
+        return self._step.guess(conditions)
 
     def _solve_exactly(
         self,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import is_
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_con
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
+from fenics_tfeti.parallel import any_rank
 
 
 @dataclass(frozen=True)
@@ -68,7 +70,8 @@ class TornProblem:
         self._search = ContactSearch(
             space, self.bodies, data.measure_weight, timer, data.displacement, data.rigid
         )
-        found = self._find()
+        self._is_updated = False
+        found = self._find(self._search, data)
         with timer.phase("compilation"):
             forms = prepare_forms(space, a, L, data.compiler)
         x = self._search.boundary.coordinates
@@ -80,12 +83,7 @@ class TornProblem:
             )
         self.torn = TornMesh(forms, self.bodies, cells, x, timer)
         self._contact_stiffness: ContactStiffness | None = None
-        self._assemble(found)
-
-    @property
-    def names(self) -> list[str]:
-        """The names of the contacts without ties."""
-        return [pairing.name for pairing in self.undeformed.pairings]
+        self._assemble(found, data)
 
     def update(
         self,
@@ -93,30 +91,50 @@ class TornProblem:
         contacts: list[Contact | Tie],
         release: Callable[[], None] | None = None,
     ) -> None:
-        """Take the present data; find, and assemble after `release`, what changed. Collective."""
-        self.data = replace(self.data, bcs=bcs, contacts=list(contacts))
-        if self.torn.has_moved():
-            check_mesh(self.space.mesh, self.bodies, self.data.contacts)
-            self._search.forget()
-            self.torn.place_nodes(self._search.boundary.coordinates)
-        self._contact_stiffness = None
-        self._assemble(self._find(), release)
+        """Take the present data; find, and assemble after `release`, what changed. Collective.
 
-    def update_supports(self, bcs: list[Any]) -> None:
-        """Take the present supports; contacts are those that were found. Collective."""
-        self.data = replace(self.data, bcs=bcs)
+        After an error the data are the earlier ones, and the next update does all of it again.
+        """
+        self._is_updated = False
+        data = replace(self.data, bcs=bcs, contacts=list(contacts))
+        search = self._search
+        if has_moved := self.torn.has_moved():
+            check_mesh(self.space.mesh, self.bodies, data.contacts)
+            search = search.on_moved_nodes()
+        found = self._find(search, data)
+        if has_moved:
+            self.torn.place_nodes(search.boundary.coordinates)
+        self._search, self._contact_stiffness = search, None
+        self._assemble(found, data, release)
+
+    def update_supports(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
+        """Take the values of supports if nothing else has changed; tell whether. Collective.
+
+        Contacts are those that were found.
+        """
+        known, before = self.data.contacts, self.undeformed.prescribed
+        has_same_contacts = len(known) == len(contacts) and all(map(is_, known, contacts))
+        if not (self._is_updated and has_same_contacts) or self.torn.has_moved():
+            return False
         prescribed = prescribed_values(self.space, bcs)
+        pairs = (before.nodes, prescribed.nodes), (before.components, prescribed.components)
+        if any_rank(self.nodes.comm, [not np.array_equal(*pair) for pair in pairs]):
+            return False
+        self.data = replace(self.data, bcs=bcs)
         self.undeformed = replace(self.undeformed, prescribed=prescribed)
+        return True
 
-    def _find(self) -> ContactSet:
-        prescribed = prescribed_values(self.space, self.data.bcs)
-        return self._search.find(self.data.contacts, prescribed)
+    def _find(self, search: ContactSearch, data: ProblemData) -> ContactSet:
+        return search.find(data.contacts, prescribed_values(self.space, data.bcs))
 
-    def _assemble(self, found: ContactSet, release: Callable[[], None] | None = None) -> None:
+    def _assemble(
+        self, found: ContactSet, data: ProblemData, release: Callable[[], None] | None = None
+    ) -> None:
         """Assemble the subdomains, after which slave and master may be exchanged."""
         subdomains = self.torn.assemble(release)
-        found = self._search.with_roles(found, self.data.contacts, subdomains)
+        found = self._search.with_roles(found, data.contacts, subdomains)
         self.undeformed = replace(found, bodies=self.loaded(found.bodies))
+        self.data, self._is_updated = data, True
 
     def loaded(self, bodies: RigidBodies) -> RigidBodies:
         """Return rigid bodies with the present loads on their cells. Collective."""

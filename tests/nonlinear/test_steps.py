@@ -71,7 +71,7 @@ def test_obstacle_without_a_gap_at_the_end_of_the_step():
 
 def test_wrong_steps():
     scene = indented_block(n=4)
-    for arguments in [(1.0, 0.0, None), (0.0, 1.0, 0.0)]:
+    for arguments in [(1.0, 1.0, None), (0.0, 1.0, 0.0), (1.0, 0.0, -0.1)]:
         begin, end, first = arguments
         with pytest.raises(InputError, match="load steps from"):
             list(scene.problem.steps(scene.set_load, begin, end, first=first))
@@ -116,8 +116,55 @@ def test_restored_steps_go_on(tmp_path):
     assert called == [0.2]
     assert list(other.problem.steps(other.set_load, 0.0, 1.0, first=0.125)) == loads[2:]
     np.testing.assert_allclose(other.problem.u.x.array, scene.problem.u.x.array, atol=1e-6)
+    # also where they are called with that load
+    other = indented_block(n=4)
+    other.problem.restore(file)
+    assert list(other.problem.steps(other.set_load, 0.25, 1.0, first=0.125)) == loads[2:]
     # later steps are those that are asked for
     assert list(other.problem.steps(other.set_load, 0.0, 0.1)) == [0.1]
+
+
+def test_steps_towards_smaller_loads(tmp_path):
+    """They end where those towards larger ones have been, and go on from a checkpoint."""
+    file, scene = tmp_path / "step", indented_block(n=4)
+    scene.solve([0.5])
+    u = scene.problem.u.x.array.copy()
+    assert list(scene.problem.steps(scene.set_load, 0.5, 1.0)) == [1.0]
+    scene.problem.save(file)
+    loads = []
+    for t in scene.problem.steps(scene.set_load, 1.0, 0.5, first=0.125):
+        loads.append(t)
+        if t == 0.875:
+            scene.problem.save(tmp_path / "unloaded")
+    assert loads == [0.875, 0.75, 0.5]
+    np.testing.assert_allclose(scene.problem.u.x.array, u, atol=1e-5)
+    other = indented_block(n=4)
+    other.problem.restore(file)
+    assert next(other.problem.steps(other.set_load, 1.0, 0.5, first=0.125)) == 0.875
+    other = indented_block(n=4)
+    other.problem.restore(tmp_path / "unloaded")
+    with pytest.raises(InputError, match="another direction .* at the load 0.875 of steps to 0.5"):
+        next(other.problem.steps(other.set_load, 0.5, 1.0))
+    assert list(other.problem.steps(other.set_load, 1.0, 0.5)) == loads[1:]
+
+
+def test_errors_of_the_user_end_steps_at_once():
+    scene, loads = indented_block(n=2), []
+
+    def set_load(t):
+        loads.append(t)
+        if len(loads) == 2:
+            raise InputError("mine")
+        if len(loads) > 2:
+            scene.problem.contacts = ["floor"]
+
+    steps = scene.problem.steps(set_load, 0.0, 1.0, first=0.1)
+    next(steps)
+    with pytest.raises(InputError, match="mine"):
+        next(steps)
+    with pytest.raises(InputError, match="contact 0 is a str"):
+        next(scene.problem.steps(set_load, 0.1, 1.0))
+    assert loads == [0.1, 0.2, 1.0]
 
 
 def test_slip_is_counted_anew():

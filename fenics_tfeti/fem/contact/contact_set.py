@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
     friction_rows,
     nodal_friction,
 )
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, contact_rows
+from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues, contact_rows
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
@@ -32,7 +32,7 @@ from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
 from fenics_tfeti.parallel import positions
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Array, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -48,6 +48,7 @@ class FoundContact:
     """A contact with its conditions, of the undeformed or of the deformed surfaces."""
 
     number: int  # among all contacts and tied pairs
+    key: str  # from step to step and in files, see `contact_keys`
     roles: Roles  # the contact as the user gave it and as it is used
     pairing: ContactPairing
     undeformed: ContactPairing
@@ -116,6 +117,16 @@ class ContactSet:
         return [found.pairing for found in self.contacts]
 
     @property
+    def keys(self) -> list[str]:
+        """The key of each contact."""
+        return [found.key for found in self.contacts]
+
+    def at_conditions(self, values: SlaveValues) -> Array:
+        """Return values (k, ...) at the conditions of all contacts, one after the other."""
+        parts = [values.at(found.key, self.dofs(found.pairing.slave)) for found in self.contacts]
+        return np.concatenate([np.zeros((0, *values.shape)), *parts])
+
+    @property
     def entries(self) -> list[FoundContact | FoundTie]:
         """All contacts and tied pairs, by number."""
         return sorted([*self.contacts, *self.ties], key=lambda found: found.number)
@@ -155,9 +166,9 @@ class ContactSet:
     def friction_rows(self, origin: SlipOrigin, start: Vector | None = None) -> Friction:
         """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
         nodes, sites = self.boundary.nodes, []
-        for k, (found, own_rows) in enumerate(zip(self.contacts, self.positions, strict=True)):
+        for found, own_rows in zip(self.contacts, self.positions, strict=True):
             if found.friction is not None:
-                moved = self._obstacle_motion(found, found.friction, origin, k)
+                moved = self._obstacle_motion(found, found.friction, origin)
                 sites.append((own_rows, found.friction, moved))
         if not sites:
             return Friction.none(nodes.components)
@@ -167,7 +178,7 @@ class ContactSet:
         return friction_rows(nodes, rows, sites, displacement)
 
     def _obstacle_motion(
-        self, found: FoundContact, friction: NodalFriction, origin: SlipOrigin, k: int
+        self, found: FoundContact, friction: NodalFriction, origin: SlipOrigin
     ) -> Vector:
         """Return what an obstacle has moved (k, gdim) since the origin of slip. Collective.
 
@@ -175,7 +186,7 @@ class ContactSet:
         slip: the slave's nodes have slid from one place of the body to another.
         """
         nodes, pairing, on = self.boundary.nodes, found.pairing, found.on_body
-        earlier = origin.obstacles.at(k, self.dofs(pairing.slave))
+        earlier = origin.obstacles.at(found.key, self.dofs(pairing.slave))
         if on is None:
             return friction.obstacle_displacement - earlier
         frame, u = self.bodies.frame_of(found.body), origin.displacement
@@ -289,8 +300,9 @@ class ContactSet:
 
     def has_same_contacts(self, other: ContactSet) -> bool:
         """Tell whether another set was found for the same contacts in the same roles."""
-        return len(self.contacts) == len(other.contacts) and all(
-            a.contact is b.contact for a, b in zip(self.contacts, other.contacts, strict=True)
+        used = {found.key: found.contact for found in other.contacts}
+        return len(used) == len(self.contacts) and all(
+            used.get(found.key) is found.contact for found in self.contacts
         )
 
     def dofs(self, nodes: Numbers) -> Numbers:

@@ -32,13 +32,14 @@ from fenics_tfeti.typing import Indices, Numbers
 class Bodies:
     """The bodies of a mesh: connected through facets and, where cells are tagged, of one tag.
 
-    `names`, `tags` and `part`, by number of the body, are the same on all ranks.
+    `labels`, `names`, `tags` and `part`, by number of the body, are the same on all ranks.
     """
 
     of_cell: Numbers  # of each cell that this rank owns
     piece: Numbers  # of each of these cells: of what is connected on this rank, and of one body
     deformable: int  # number of bodies that are not rigid, the first ones
-    names: list[str]  # for messages
+    labels: list[str]  # number, and name or tag of the cells
+    names: list[str]  # the labels with the places, for messages
     tags: Numbers | None  # None where cells are not tagged
     part: Numbers  # the connected part of the mesh, whatever the tags, that each is in
     graph: sp.csr_matrix  # adjacency of owned cells through facets, whatever the tags
@@ -75,13 +76,14 @@ def find_bodies(
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
     boxes = _bounding_boxes(domain, cells, first, number[present], bodies)
-    labels = [""] * bodies
+    labels = [f"body {k}" for k in range(bodies)]
     if tag_of_body is not None:
         known = body_names(cell_tags)
-        labels = [f" ({known.get(tag, f'cell tag {tag}')})" for tag in tag_of_body.tolist()]
-    names = [f"body {k}{labels[k]} in {box}" for k, box in enumerate(boxes)]
+        for k, tag in enumerate(tag_of_body.tolist()):
+            labels[k] += f" ({known.get(tag, f'cell tag {tag}')})"
+    names = [f"{label} in {box}" for label, box in zip(labels, boxes, strict=True)]
     deformable = bodies - int(np.count_nonzero(is_rigid))
-    return Bodies(of_cell, piece, deformable, names, tag_of_body, common[order, 1], graph)
+    return Bodies(of_cell, piece, deformable, labels, names, tag_of_body, common[order, 1], graph)
 
 
 def _global_components(

@@ -28,7 +28,7 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.fem._compat import CompilerOptions, cell_dofs, element_facts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
-from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_tags
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms, TornMesh, prepare_forms
 from fenics_tfeti.fem.nodes import NodeMap
@@ -164,7 +164,7 @@ def _without_curvature(V: FunctionSpace, contacts: Sequence[Contact]) -> Mask:
     surfaces, with_friction = {}, set()
     for contact in contacts:
         for tag in surface_tags(contact):
-            key = id(contact.facet_tags), tag
+            key = surface_key(contact.facet_tags, tag)
             surfaces[key] = contact.facet_tags.find(tag)
             if contact.friction is not None:
                 with_friction.add(key)

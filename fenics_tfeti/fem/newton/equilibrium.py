@@ -175,7 +175,7 @@ class Multipliers:
     def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
         """Return those of normal forces (k,) alone [N]."""
         new = Multipliers.none(rows)
-        forces = force.at_conditions(rows.conditions.pairings)
+        forces = rows.conditions.at_conditions(force)
         new.normal[rows.place] = forces / rows.contacts.length
         return new
 

@@ -268,6 +268,15 @@ def test_same_solution_as_with_named_pairs():
     assert np.allclose(*displacements, rtol=0.0, atol=1e-9 * np.abs(displacements[0]).max())
 
 
+def test_names_of_bodies_may_be_any_text():
+    """The names of pairs have the whole of them."""
+    names = ["ring in ring", "ring in bore"]
+    parts = [Box((0, k), (1, k + 1), (2, 2), name) for k, name in enumerate(names)]
+    made = boxes(COMM, parts, "triangle")
+    (pair,) = find_contacts(made.mesh, made.cell_tags)
+    assert pair.name == "body 0 (ring in ring) on body 1 (ring in bore)"
+
+
 def test_auto_in_problems():
     """The problem has the pairs, and the report their names."""
     made, V, bc, _, weight = pile()

@@ -11,7 +11,7 @@ import scenes
 from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, normal_forces, two_beams
 
-from fenics_tfeti import Exact, Plane
+from fenics_tfeti import Exact, InputError, Plane
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
 from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
@@ -142,6 +142,19 @@ def test_own_solution_is_the_first_face():
     again.solve(coarse=problem)
     assert again.report.faces[0].active == problem.report.unknowns["active"]
     assert [face.changed for face in again.report.faces] == [0] * len(again.report.faces)
+
+
+def test_contacts_may_be_in_another_order():
+    scene = scenes.block_on_ball(COMM, "quadrilateral", 16)
+    far = replace(scene.contacts[0], obstacle=Plane((0, -9), (0, 1)), name="far")
+    problem = scene.problem(contacts=[*scene.contacts, far])
+    again = scene.problem(contacts=[far, *scene.contacts])
+    problem.solve()
+    again.solve(coarse=problem)
+    assert [face.changed for face in again.report.faces] == [0] * len(again.report.faces)
+    other = scene.problem(contacts=[replace(far, name="near"), *scene.contacts])
+    with pytest.raises(InputError, match=r"has the contacts .*'far'.*, this one has .*'near'"):
+        other.solve(coarse=problem)
 
 
 def test_exact_non_penetration_starts_from_it_too():

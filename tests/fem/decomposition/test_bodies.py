@@ -74,8 +74,10 @@ def test_names_of_tags_are_those_of_bodies():
     parts = boxes(
         COMM, [Box((0, 0), (1, 1), (2, 2), "pin"), Box((0, 1), (1, 2), (2, 2))], "triangle"
     )
-    names = find_bodies(parts.mesh, parts.cell_tags).names
-    assert [name.split(" in ")[0] for name in names] == ["body 0 (pin)", "body 1 (cell tag 2)"]
+    assert find_bodies(parts.mesh, parts.cell_tags).labels == [
+        "body 0 (pin)",
+        "body 1 (cell tag 2)",
+    ]
 
 
 def test_facet_tags_are_refused():

@@ -11,9 +11,9 @@ import numpy as np
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_tags
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
@@ -25,19 +25,19 @@ from fenics_tfeti.typing import Vector
 
 def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
     """Check that no two pairs join the same two surfaces, in either role."""
-    pairs: dict[tuple[int, frozenset[int]], int] = {}
+    pairs: dict[frozenset[tuple[int, int]], int] = {}
     with raise_collectively(comm):
         for number, contact in enumerate(contacts):
             if not isinstance(contact, ContactPair):
                 continue
-            tags = frozenset((contact.slave, contact.master))
-            key = (id(_compat.cpp_object(contact.facet_tags)), tags)
-            if key in pairs:
+            tags = sorted(surface_tags(contact))
+            surfaces = frozenset(surface_key(contact.facet_tags, tag) for tag in tags)
+            if surfaces in pairs:
                 raise InputError(
-                    f"contacts {pairs[key]} and {number} join the same two surfaces, with slave "
-                    f"and master {sorted(tags)}: keep one of them"
+                    f"contacts {pairs[surfaces]} and {number} join the same two surfaces, with "
+                    f"slave and master {tags}: keep one of them"
                 )
-            pairs[key] = number
+            pairs[surfaces] = number
 
 
 def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[ContactPairing]) -> None:

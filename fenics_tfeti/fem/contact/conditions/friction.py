@@ -41,7 +41,7 @@ class SlipOrigin:
     @staticmethod
     def at(uh: Function) -> SlipOrigin:
         """Return the state with a displacement; obstacles have not moved."""
-        none = SlaveValues.of([], uh.function_space.dofmap.index_map_bs)
+        none = SlaveValues(shape=(uh.function_space.dofmap.index_map_bs,))
         return SlipOrigin(owned_values(uh), none)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -245,35 +245,19 @@ def mean_traction(
 class SlaveValues:
     """Values at slave nodes of contacts that this rank owns; zero at other nodes."""
 
-    contact: Numbers  # (k,): the place of the contact among those that can open
-    nodes: Numbers  # (k,): local numbers
-    values: Array  # (k, ...)
+    # by the contact's key, see `contact_keys`: nodes (k,), by their local numbers, and values there
+    # (k, *shape)
+    of_contact: Mapping[str, tuple[Numbers, Array]] = field(default_factory=dict)
+    shape: tuple[int, ...] = ()
 
-    @staticmethod
-    def of(parts: Iterable[tuple[Numbers, Array]], *shape: int) -> SlaveValues:
-        """Return values (k, *shape) at nodes (k,) of each contact, in order."""
-        parts = [(np.zeros(0, dtype=np.int64), np.zeros((0, *shape))), *parts]
-        contact = np.repeat(np.arange(len(parts)) - 1, [nodes.size for nodes, _ in parts])
-        return SlaveValues(contact, *(np.concatenate(c) for c in zip(*parts, strict=True)))
-
-    def at(self, contact: int, nodes: Numbers) -> Array:
-        """Return the values (q, ...) at distinct nodes of a contact."""
-        own = np.flatnonzero(self.contact == contact)
-        found = np.zeros((nodes.size, *self.values.shape[1:]))
-        _, rows, position = np.intersect1d(nodes, self.nodes[own], return_indices=True)
-        found[rows] = self.values[own[position]]
+    def at(self, key: str, nodes: Numbers) -> Array:
+        """Return the values (q, *shape) at distinct nodes of a contact."""
+        found = np.zeros((nodes.size, *self.shape))
+        if key in self.of_contact:
+            known, values = self.of_contact[key]
+            _, rows, position = np.intersect1d(nodes, known, return_indices=True)
+            found[rows] = values[position]
         return found
-
-    def at_conditions(self, pairings: Sequence[ContactPairing]) -> Array:
-        """Return the values (k, ...) at the conditions of all contacts, one after the other."""
-        slaves = [p.slave - p.surface.boundary.nodes.first for p in pairings]
-        parts = [self.at(contact, nodes) for contact, nodes in enumerate(slaves)]
-        return np.concatenate([self.values[:0], *parts])
-
-    def of_first(self, contacts: int) -> SlaveValues:
-        """Return those of the first contacts."""
-        kept = self.contact < contacts
-        return SlaveValues(self.contact[kept], self.nodes[kept], self.values[kept])
 
 
 def contact_rows(

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
+from itertools import count
 from typing import Any
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.user_data import is_integer
 
 
@@ -39,6 +42,49 @@ def surface_tags(contact: Any) -> list[int]:
 def contact_name(contact: Any, number: int) -> str:
     """Return the name of a contact or tie, by default from its number and kind."""
     return contact.name or contact.default_name.format(number)
+
+
+def surface_key(facet_tags: Any, tag: int) -> tuple[int, int]:
+    """Return what tells the surfaces of the contacts in a list apart.
+
+    Several objects of Python may stand for the same tags.
+    """
+    return id(_compat.cpp_object(facet_tags)), tag
+
+
+def contact_keys(contacts: Sequence[Any], known: Sequence[tuple[Any, str]] = ()) -> list[str]:
+    """Return by which keys the contacts of a list are known from step to step, and in files.
+
+    A known contact keeps its key, a new one takes the first free key of its kind and name, without
+    a name of its kind and surfaces: in place of another one it is known as that one.
+
+    Examples
+    --------
+    >>> from fenics_tfeti import Plane, RigidObstacle
+    >>> tags = dolfinx.mesh.meshtags(mesh, 1, facets, values)  # doctest: +SKIP
+    >>> contact_keys([RigidObstacle(tags, 7, Plane((0, 0), (0, 1)))])  # doctest: +SKIP
+    ['RigidObstacle of the surface 7']
+    """
+    kept = {id(contact): key for contact, key in known}
+    keys = [kept.pop(id(contact), "") for contact in contacts]
+    for k, contact in enumerate(contacts):
+        keys[k] = keys[k] or free_key(_label(contact), keys)
+    return keys
+
+
+def free_key(label: str, taken: Sequence[str]) -> str:
+    """Return a label, with a number after it if it is taken."""
+    numbered = (label if n == 1 else f"{label} ({n})" for n in count(1))
+    return next(key for key in numbered if key not in taken)
+
+
+def _label(contact: Any) -> str:
+    kind, body = type(contact).__name__, getattr(contact, "body", None)
+    if contact.name:
+        return f"{kind} {contact.name!r}"
+    tags = " and ".join(map(str, surface_tags(contact)))
+    at_body = f" at {body.name!r}" if body is not None and body.name else ""
+    return f"{kind} of the surface {tags}{at_body}"
 
 
 def checked_label(contact: Any) -> str:

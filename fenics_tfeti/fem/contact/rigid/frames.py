@@ -8,7 +8,7 @@ right-hand sides.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,6 +29,7 @@ class BodyFrame:
     """A rigid body as nodes of a torn system, the corners of a simplex, and where it is."""
 
     body: RigidBody
+    key: str  # from step to step and in files
     name: str
     corners: Vector  # (gdim + 1, gdim), undeformed [m]
     # without loads: the body, and its spring as an elastic body at the same nodes
@@ -41,7 +42,13 @@ class BodyFrame:
 
     @staticmethod
     def undeformed(
-        body: RigidBody, name: str, box: Vector, first: int, number: int, known: BodyFrame | None
+        body: RigidBody,
+        key: str,
+        name: str,
+        box: Vector,
+        first: int,
+        number: int,
+        known: BodyFrame | None,
     ) -> BodyFrame:
         """Make a frame around a box (2, gdim) with nodes from `first` on.
 
@@ -62,7 +69,7 @@ class BodyFrame:
         if known is not None and are_same(templates, known.templates):
             templates = known.templates
         start = np.zeros(body.modes), Rotation.identity()
-        return BodyFrame(body, name, corners, templates, np.linalg.pinv(modes), *start)
+        return BodyFrame(body, key, name, corners, templates, np.linalg.pinv(modes), *start)
 
     @property
     def nodes(self) -> Numbers:
@@ -214,19 +221,17 @@ class RigidBodies:
             frames[k] = replace(frames[k], load_on_cells=load)
         return replace(self, frames=frames)
 
-    def saved(self) -> Vector:
-        """Return the places as an array (bodies, modes + 4), of motions and quaternions."""
-        rows = [np.append(frame.motion, frame.turned.as_quat()) for frame in self.frames]
-        return np.array(rows).reshape(len(rows), -1 if rows else 0)
+    def saved(self) -> dict[str, Vector]:
+        """Return the places (modes + 4,) by key, of motions and quaternions."""
+        return {f.key: np.append(f.motion, f.turned.as_quat()) for f in self.frames}
 
-    def restored(self, saved: Vector) -> RigidBodies:
-        """Return the bodies at saved places, or where they are if there are not as many."""
-        if len(saved) != len(self.frames):
-            return self
-        frames = [
-            replace(frame, motion=row[:-4].copy(), turned=Rotation.from_quat(row[-4:]))
-            for frame, row in zip(self.frames, saved, strict=True)
-        ]
+    def restored(self, saved: Mapping[str, Vector]) -> RigidBodies:
+        """Return the bodies at saved places; others are where they are."""
+        frames = list(self.frames)
+        for k, frame in enumerate(frames):
+            if frame.key in saved:
+                motion, turned = np.split(saved[frame.key], [-4])
+                frames[k] = replace(frame, motion=motion, turned=Rotation.from_quat(turned))
         return replace(self, frames=frames)
 
     def free_displacements(self, first: int) -> Vector:

@@ -110,7 +110,7 @@ def find_contacts(
         _warn_of_gaps(comm, facets, bodies)
     contacts = []
     for number, ((slave, master, side), tagged) in enumerate(surfaces.items()):
-        first, second = (bodies.names[body].split(" in ")[0] for body in (slave, master))
+        first, second = bodies.labels[slave], bodies.labels[master]
         contacts.append(
             ContactPair(
                 meshtags(mesh, mesh.topology.dim - 1, *tagged),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -25,7 +26,7 @@ from fenics_tfeti.fem.contact.conditions.ties import TiedPairing, rows_of_tie
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
-from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_keys, contact_name, free_key
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
@@ -62,12 +63,18 @@ class ContactSearch:
         self._rigid_tags = rigid or {}
         self._displacement = displacement
         self._measure_weight = measure_weight
-        self._roles = dict[int, Roles]()  # of pairs, by `id`
-        self.forget()
-
-    def forget(self) -> None:
-        """Find the boundary of the mesh anew, because its nodes were moved. Collective."""
+        self._roles = dict[str, Roles]()  # of the last contacts, by key
         self._last: ContactSet | None = None
+        self._find_boundary()
+
+    def on_moved_nodes(self) -> ContactSearch:
+        """Return the search on the mesh as it is now; roles are kept. Collective."""
+        search = copy(self)
+        search._last = None
+        search._find_boundary()
+        return search
+
+    def _find_boundary(self) -> None:
         with self._timer.phase("contact search"):
             self.boundary = MeshBoundary.of(self._space, self._measure_weight)
             self.rigid = RigidNodes.of(
@@ -77,11 +84,10 @@ class ContactSearch:
     def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
         ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
-        touching = {
-            k: self._roles_of(contact)
-            for k, contact in enumerate(contacts)
-            if not isinstance(contact, Tie)
-        }
+        given = {k: contact for k, contact in enumerate(contacts) if not isinstance(contact, Tie)}
+        known_keys = [(f.roles.given, f.key) for f in self._last.contacts] if self._last else []
+        keys = dict(zip(given, contact_keys([*given.values()], known_keys), strict=True))
+        touching = {k: self._roles_of(contact, keys[k]) for k, contact in given.items()}
         self.rigid.check_supports(prescribed)
         with self._timer.phase("contact search"):
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
@@ -98,7 +104,7 @@ class ContactSearch:
             checked = {id(pairing) for _, pairing in known}
             check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
             found_contacts = [
-                FoundContact(k, roles, pairing, pairing).placed(self.rigid)
+                FoundContact(k, keys[k], roles, pairing, pairing).placed(self.rigid)
                 for (k, roles), pairing in zip(touching.items(), pairings, strict=True)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)
@@ -116,20 +122,21 @@ class ContactSearch:
             found = ContactSet(
                 self.boundary, found_contacts, found_ties, prescribed, bodies, self.rigid
             ).with_friction()
-        self._last = found
+        self._last, self._roles = found, {f.key: f.roles for f in found.contacts}
         return found
 
-    def _roles_of(self, contact: Contact) -> Roles:
+    def _roles_of(self, contact: Contact, key: str) -> Roles:
         """Return the roles of a contact; of a pair a rigid surface is the master. Collective."""
-        if not isinstance(contact, ContactPair):
-            return Roles(contact, contact)
-        if id(contact) not in self._roles:
-            roles, tags = Roles(contact, contact), (contact.slave, contact.master)
+        roles = self._roles.get(key)
+        if roles is not None and roles.given is contact:
+            return roles
+        roles = Roles(contact, contact)
+        if isinstance(contact, ContactPair):
+            tags = (contact.slave, contact.master)
             is_rigid = [self.rigid.on_surface(contact.facet_tags, tag) for tag in tags]
             if is_rigid == [True, False] and roles.may_exchange:
-                roles = roles.exchanged()
-            self._roles[id(contact)] = roles
-        return self._roles[id(contact)]
+                return roles.exchanged()
+        return roles
 
     def _rigid_bodies(
         self, contacts: Sequence[FoundContact], known: RigidBodies, bolts: int
@@ -153,9 +160,13 @@ class ContactSearch:
             comm.Allreduce(MPI.IN_PLACE, box, MPI.MIN)
             return np.array([box[0], -box[1]])
 
+        keys = list[str]()
+        for body in bodies:
+            keys.append(free_key(self._label(body, contacts), keys))
         frames = [
             BodyFrame.undeformed(
                 body,
+                keys[k],
                 body.name or f"rigid body {k}",
                 box_of(body),
                 self.boundary.nodes.total + bolts + k * (gdim + 1),
@@ -165,6 +176,13 @@ class ContactSearch:
             for k, body in enumerate(bodies)
         ]
         return RigidBodies(comm, gdim, frames)
+
+    def _label(self, body: RigidBody, contacts: Sequence[FoundContact]) -> str:
+        """Return by what a body is known: its name, the tag of its cells, or its first contact."""
+        if body.name:
+            return repr(body.name)
+        labels = [f"cells with tag {tag}" for tag, b in self._rigid_tags.items() if b is body]
+        return [*labels, *(f"body of {f.key}" for f in contacts if f.body is body)][0]
 
     def with_roles(
         self, found: ContactSet, contacts: Sequence[Contact | Tie], torn: Sequence[Subdomain]
@@ -180,19 +198,18 @@ class ContactSearch:
             return found
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
         pairings = [found.contacts[index].undeformed for index in new]
-        ratios, poor = roles_ratios(comm, pairings, stiffness), []
+        ratios, poor = roles_ratios(comm, pairings, stiffness), dict[str, Roles]()
         for index, ratio in zip(new, ratios, strict=True):
-            roles = replace(found.contacts[index].roles, are_decided=True)
+            key, roles = found.keys[index], replace(found.contacts[index].roles, are_decided=True)
             if roles.used is roles.given and ratio is not None:
                 roles = replace(roles, ratio=ratio).kept()
                 if roles.are_better_exchanged:
-                    poor.append(roles)
-            self._roles[id(roles.given)] = roles
+                    poor[key] = roles
+            self._roles[key] = roles
         found = self._with_exchanged(found, contacts, poor)
         decided = list(found.contacts)
         for index in new:
-            roles = self._roles[id(decided[index].roles.given)]
-            decided[index] = replace(decided[index], roles=roles)
+            decided[index] = replace(decided[index], roles=self._roles[found.keys[index]])
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 entry = decided[index]
@@ -201,7 +218,7 @@ class ContactSearch:
         return replace(found, contacts=decided)
 
     def _with_exchanged(
-        self, found: ContactSet, contacts: Sequence[Contact | Tie], poor: Sequence[Roles]
+        self, found: ContactSet, contacts: Sequence[Contact | Tie], poor: Mapping[str, Roles]
     ) -> ContactSet:
         """Find conditions anew with poor roles of pairs exchanged, where that is possible.
 
@@ -210,17 +227,17 @@ class ContactSearch:
         """
         if not poor:
             return found
-        self._roles |= {id(roles.given): roles.exchanged() for roles in poor}
+        self._roles |= {key: roles.exchanged() for key, roles in poor.items()}
         try:
             return self.find(contacts, found.prescribed)
         except InputError as error:
             obstacle = str(error)
-        self._roles |= {id(roles.given): roles.kept(obstacle) for roles in poor}
+        self._roles |= {key: roles.kept(obstacle) for key, roles in poor.items()}
         if len(poor) == 1:
             return found
-        half = len(poor) // 2
-        found = self._with_exchanged(found, contacts, poor[:half])
-        return self._with_exchanged(found, contacts, poor[half:])
+        pairs, half = list(poor.items()), len(poor) // 2
+        found = self._with_exchanged(found, contacts, dict(pairs[:half]))
+        return self._with_exchanged(found, contacts, dict(pairs[half:]))
 
 
 def match_contacts(

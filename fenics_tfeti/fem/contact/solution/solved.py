@@ -92,27 +92,28 @@ class SolvedContacts:
 
     def obstacle_displacements(self) -> SlaveValues:
         """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
-        conditions, parts = self.conditions, []
-        gdim = conditions.boundary.nodes.components
+        conditions, of_contact = self.conditions, {}
         for found in conditions.contacts:
-            on, moved = found.on_body, np.zeros((0, gdim))
-            if found.friction is not None:
-                moved = found.friction.obstacle_displacement
-                if on is not None:
-                    before = conditions.bodies.frame_of(found.body)
-                    motion = self.bodies.frame_of(found.body).motion - before.motion
-                    step = before.displacements(motion, on.places)
-                    moved = on.slave - before.undeformed_places(on.slave) + step
-            parts.append((conditions.dofs(found.pairing.slave)[: len(moved)], moved))
-        return SlaveValues.of(parts, gdim)
+            if found.friction is None:
+                continue
+            on, moved = found.on_body, found.friction.obstacle_displacement
+            if on is not None:
+                before = conditions.bodies.frame_of(found.body)
+                motion = self.bodies.frame_of(found.body).motion - before.motion
+                step = before.displacements(motion, on.places)
+                moved = on.slave - before.undeformed_places(on.slave) + step
+            of_contact[found.key] = conditions.dofs(found.pairing.slave), moved
+        return SlaveValues(of_contact, (conditions.boundary.nodes.components,))
 
     def nodal_forces(self) -> SlaveValues:
         """Return the normal forces (k,) [N]."""
-        return SlaveValues.of((result.dofs, result.normal_force) for result in self.contacts)
+        parts = ((result.dofs, result.normal_force) for result in self.contacts)
+        return SlaveValues(dict(zip(self.conditions.keys, parts, strict=True)))
 
-    def gathered(self) -> list[SolvedContact]:
-        """Gather the solution on the slaves' surfaces on every rank. Collective."""
-        return gather_solved(self.conditions.pairings, self.contacts, self.displacement)
+    def gathered(self) -> dict[str, SolvedContact]:
+        """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
+        solved = gather_solved(self.conditions.pairings, self.contacts, self.displacement)
+        return dict(zip(self.conditions.keys, solved, strict=True))
 
 
 def _contact_result(

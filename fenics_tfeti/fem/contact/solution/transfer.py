@@ -14,12 +14,11 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.feti.system import ContactGuess, TornSystem
+from fenics_tfeti.feti.system import ContactGuess
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Vector
 
@@ -28,7 +27,6 @@ from fenics_tfeti.typing import Vector
 class SolvedContact:
     """The solution on the whole of a slave's surface, on every rank."""
 
-    name: str
     surface: SurfaceFacets
     # (n, 3): 1, the force over undeformed area [Pa] and (u_slave - u_master)'n [m]; 0 at nodes
     # without condition
@@ -52,7 +50,7 @@ def gather_solved(
         )
         values = np.zeros((slave.nodes.size, 3))
         values[np.searchsorted(slave.nodes, conditioned)] = columns
-        solved.append(SolvedContact(pairing.name, slave, slave.from_corners(values)))
+        solved.append(SolvedContact(slave, slave.from_corners(values)))
     return solved
 
 
@@ -70,21 +68,3 @@ def expected_contact(
         forces.append(np.where(near, pressure / weight * pairing.area / pairing.stretch, 0.0))
         gaps.append(np.where(near, pairing.gap - approach / weight, np.inf))
     return ContactGuess(np.concatenate(forces), np.concatenate(gaps))
-
-
-def check_coarse(coarse: TornSystem, present: TornSystem, method: str) -> None:
-    """Check that a problem on a coarse mesh is for the same contacts, known by their names."""
-    if coarse.gdim != present.gdim:
-        raise InputError(
-            f"the coarse problem has {coarse.gdim} dimensions, this one has {present.gdim}"
-        )
-    names, present_names = list(coarse.contact_names), list(present.contact_names)
-    if names != present_names:
-        raise InputError(
-            f"the coarse problem has the contacts {names}, this one has {present_names}: "
-            "give both problems the same contacts in the same order, under the same names"
-        )
-    if method != "active_set":
-        raise InputError(
-            f"a coarse problem is a start for method='active_set'; with {method!r} leave it out"
-        )
