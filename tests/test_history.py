@@ -51,11 +51,11 @@ class PressedBlock:
         if kind == "nonlinear":
             u = fem.Function(scene.V)
             F = ufl.derivative(neo_hookean(1.0, 0.3)(u) * ufl.dx(degree=2), u, scene.v)
-            options = {"newton_rtol": 1e-8, "rtol": 1e-8}
+            options = {"newton_rtol": 1e-6, "rtol": 1e-6}
             self.problem = NonlinearContactProblem(F, u, options=options, **data)
         else:
-            geometry = Exact(1e-9) if kind == "exact" else None
-            data |= {"geometry": geometry, "options": {"rtol": 1e-9}}
+            geometry = Exact(1e-7) if kind == "exact" else None
+            data |= {"geometry": geometry, "options": {"rtol": 1e-8}}
             self.problem = ContactProblem(scene.a, scene.L, **data)
 
     def obstacle(self, tags, name, tag, sign, moved_by):
@@ -92,13 +92,12 @@ def swapped(contacts, how):
     return [replace(c) if how == "others" else c for c in reversed(contacts)]
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(
     ("kind", "moved_by", "how", "names"),
     [
         ("linear", "functions", "same", NAMED),
         ("linear", "functions", "others", UNNAMED),
-        ("linear", "bodies", "restored", UNNAMED),
+        pytest.param("linear", "bodies", "restored", UNNAMED, marks=pytest.mark.ranks),
         ("exact", "functions", "restored", UNNAMED),
         ("exact", "bodies", "same", NAMED),
         ("nonlinear", "functions", "others", NAMED),
@@ -122,7 +121,7 @@ def test_history_of_a_contact_does_not_depend_on_its_place(
         assert other.problem.restore(shared_folder / "step") == 1
     else:
         other.problem.contacts = swapped(other.problem.contacts, how)
-    np.testing.assert_allclose(other.step(0.03, -0.03), expected, atol=1e-7)
+    np.testing.assert_allclose(other.step(0.03, -0.03), expected, atol=1e-5)
     assert np.abs(expected).max() > 1e-3
 
 
@@ -139,7 +138,7 @@ def test_contact_that_is_left_out_for_a_solve_keeps_its_history():
         for contacts in ([right, lid], [left, right, lid]):
             block.problem.contacts = contacts
             forces.append(block.step(0.03, -0.03))
-    np.testing.assert_allclose(forces[:2], forces[2:], atol=1e-7)
+    np.testing.assert_allclose(forces[:2], forces[2:], atol=1e-5)
 
 
 def half_of(contact, name, is_right):
@@ -184,8 +183,7 @@ def test_kept_conditions_do_not_depend_on_the_place():
 # -- errors leave no trace ------------------------------------------------------------------------
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("kind", ["linear", "nonlinear"])
+@pytest.mark.parametrize("kind", [pytest.param("linear", marks=pytest.mark.ranks), "nonlinear"])
 @pytest.mark.parametrize("is_moved", [False, True], ids=["still", "moved"])
 def test_contacts_that_are_refused_are_refused_again(kind, is_moved):
     """Also by steps, which solve several times; after them the problem is as it was before."""
@@ -205,7 +203,7 @@ def test_contacts_that_are_refused_are_refused_again(kind, is_moved):
     assert len(problem.results) == 2
     np.testing.assert_array_equal(problem.u.x.array, u)
     problem.contacts = list(block.contacts)
-    np.testing.assert_allclose(block.step(0.02, -0.03), alone.step(0.02, -0.03), atol=1e-8)
+    np.testing.assert_allclose(block.step(0.02, -0.03), alone.step(0.02, -0.03), atol=1e-5)
 
 
 def limited(problem, is_limited):
@@ -220,7 +218,6 @@ def limited(problem, is_limited):
         problem.options = replace(problem.options, newton_max_it=1 if is_limited else 30)
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize("kind", ["linear", "nonlinear"])
 def test_states_that_have_not_converged_are_not_accepted(kind):
     block, alone = PressedBlock(kind), PressedBlock(kind)
@@ -241,7 +238,7 @@ def test_states_that_have_not_converged_are_not_accepted(kind):
     with pytest.raises(InputError, match=r"has not converged \(.*\); call solve\(\) before adv"):
         problem.advance()
     limited(problem, False)
-    np.testing.assert_allclose(block.step(0.02, -0.03), alone.step(0.02, -0.03), atol=1e-7)
+    np.testing.assert_allclose(block.step(0.02, -0.03), alone.step(0.02, -0.03), atol=1e-5)
     problem.advance()
 
 
@@ -268,7 +265,6 @@ def test_last_iterate_of_newtons_method(calls, reason):
     np.testing.assert_allclose(result.opening, 0.9 - height, atol=1e-12)
 
 
-@pytest.mark.ranks
 def test_supports_in_place_of_others():
     """The corner has a mortar condition once it is no longer held along the normal."""
     marks = [(SIDE, at(1, -1.0)), (9, at(1, 1.0)), (8, lambda x: np.isclose(x[0], 0) & (x[1] >= 0))]
