@@ -44,21 +44,21 @@ def compiled_library(
     """Compile a file with options and libraries, whose version is given, or take what there is.
 
     A process that compiles it holds a lock that ends with the process; others wait, and take its
-    result. The library appears under its name when it is complete. Raises `Unavailable`, or an
-    OSError of the folder.
+    result. The library appears under its name when it is complete. What is there is used in a
+    folder that cannot be written, too. Raises `Unavailable`, or an OSError of the folder.
     """
     command = [*_compiler(), *_OPTIONS, *options]
     # that of an environment of conda
     command += [f"-I{sys.prefix}/include", f"-L{sys.prefix}/lib"]
     linked = [f"-l{name}" for name in libraries]
     key = [source.read_text(), *command, *linked, _processor(), version]
-    folder = cache_folder()
-    folder.mkdir(parents=True, exist_ok=True)
     name = hashlib.sha256("\n".join(key).encode()).hexdigest()[:24]
-    path = folder / f"libfenics_tfeti_{name}.so"
-    with _locked(path.with_suffix(".lock")):
-        if not path.exists():
-            _compile(command, source, linked, path)
+    path = cache_folder() / f"libfenics_tfeti_{name}.so"
+    if not path.exists():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with _locked(path.with_suffix(".lock")):
+            if not path.exists():
+                _compile(command, source, linked, path)
     return ctypes.CDLL(str(path))
 
 
