@@ -282,7 +282,7 @@ def test_largest_pressure_on_meshes_of_tetrahedra(tmp_path, size, low, width):
 # -- finite sliding ----------------------------------------------------------------------------
 
 
-def sliding(lower, upper, young, slave, approach, distance, steps=40, friction=None):
+def sliding(lower, upper, young, slave, approach, distance, steps=20, friction=None):
     """Return the normal force at each step while the upper block slides by a distance."""
     marks = [(GROUND, at(1, 0.0)), (LOWER, at(1, lower[1][1]), 1), (UPPER, at(1, lower[1][1]), 2)]
     marks += [(LOADED, at(1, upper[1][1]))]
@@ -307,17 +307,17 @@ def sliding(lower, upper, young, slave, approach, distance, steps=40, friction=N
 
 @pytest.mark.heavy
 def test_steps_of_force_of_a_foot_that_slides_over_facets():
-    """A stiff foot over two facets of a soft table, which is the slave."""
+    """A stiff foot over one facet of a soft table, which is the slave."""
     lower, upper = ((0, 0), (1, 0.5), (20, 10)), ((0.21, 0.5), (0.6, 0.8), (11, 6))
-    forces = sliding(lower, upper, {1: 1.0, 2: 1e2}, LOWER, 0.02, 0.1)
+    forces = sliding(lower, upper, {1: 1.0, 2: 1e2}, LOWER, 0.02, 0.05)
     assert np.abs(np.diff(forces)).max() < 0.035 * forces.mean()
 
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("mu", [0.0, 0.3])
 def test_steps_of_force_of_a_block_that_slides_over_an_edge(mu):
-    """The block is the slave; of its 10 facets, 4 leave a stiff table."""
+    """The block is the slave; of its 10 facets, 2 leave a stiff table."""
     lower, upper = ((0, 0), (0.6, 0.2), (16, 5)), ((0.197, 0.2), (0.597, 0.4), (10, 5))
     friction = Coulomb(mu) if mu else None
-    forces = sliding(lower, upper, {1: 1e2, 2: 1.0}, UPPER, 0.01, 0.16, friction=friction)
+    forces = sliding(lower, upper, {1: 1e2, 2: 1.0}, UPPER, 0.01, 0.08, friction=friction)
     assert np.abs(np.diff(forces)).max() < 0.035 * forces.mean()
