@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.mortar.matrices import (
     BARELY_SUPPORTED,
     HARDLY_SUPPORTED,
     coverage_and_support,
+    covered_shares,
     mortar_matrices,
     multiplier_shares,
     node_sums,
@@ -54,7 +55,7 @@ def mortar_conditions(
     slave = surface.oriented_part()
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
     if not has_user_normals:
-        surface = surface.with_normals_of(_covered(slave, integrals))
+        surface = surface.with_normals_of(covered_shares(slave.facets, integrals))
         surface = replace(surface, normal=normals_in_symmetry_planes(surface, prescribed))
         slave = replace(slave, vertex_normals=surface.normals_at(slave.nodes))
     along = np.abs(slave.normal) > RELATIVE_ROUNDING
@@ -141,7 +142,7 @@ def _conditions(
     normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
     largest = _largest_of_facets(slave, master, integrals)
     chord, deviation, angle = all_nodes.sum_at_owners(corners.ravel(), largest, np.maximum)[own].T
-    facets = _covered(slave, integrals)
+    facets = covered_shares(slave.facets, integrals) > 0.0
     return Conditions(
         terms,
         unit(normal),
@@ -155,13 +156,6 @@ def _conditions(
         deviation,
         shares=_pressure_shares(all_nodes, corners, slave.nodes, coverage, terms.slave),
     )
-
-
-def _covered(slave: SurfaceFacets, integrals: FacetIntegrals) -> Mask:
-    """Tell which facets (f,) of the slave are covered, at least in part."""
-    covered = np.zeros(len(slave.facets), dtype=bool)
-    covered[integrals.facet] = True
-    return covered
 
 
 def _pressure_shares(

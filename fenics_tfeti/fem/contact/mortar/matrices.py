@@ -108,6 +108,13 @@ def multiplier_shares(support: Vector, least: Vector, free: Mask, pairs: Numbers
     return shares.tocsc()
 
 
+def covered_shares(slave: Facets, integrals: FacetIntegrals) -> Vector:
+    """Return the share (f,) of each slave facet that is covered."""
+    shares = np.zeros(len(slave))
+    shares[integrals.facet] = integrals.covered / _areas(slave)[integrals.facet]
+    return shares
+
+
 def node_sums(integrals: FacetIntegrals, slave: Facets) -> Vector:
     """Return sums (n, 4) of facets for the `coverage_and_support` of nodes [m^2 or m].
 

@@ -218,13 +218,15 @@ class Surface:
         integrals = corner_normals(x, at_corners) * chosen[:, None, None]
         return np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
 
-    def with_normals_of(self, chosen: Mask) -> Surface:
-        """Return it with the mean normals of chosen facets (f,), where a node has some. Collective.
+    def with_normals_of(self, covered: Vector | Mask) -> Surface:
+        """Return it with normals of the covered shares (f,) of facets, where a node has some.
 
-        At the edge of a box whose sides are tagged, too, the normal is then that of the foot.
+        They are means weighted with the shares, so that a surface that slides has normals without
+        jumps. At the edge of a box whose sides are tagged, too, the normal is that of the foot.
+        Collective.
         """
         x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
-        sums = self.sum_of_corners(corner_normals(x) * chosen[:, None, None])
+        sums = self.sum_of_corners(corner_normals(x) * covered[:, None, None])
         length = np.linalg.norm(sums, axis=1)
         there = length > VANISHING_NORMAL * self.area
         normal = self.normal.copy()
