@@ -9,7 +9,7 @@ from scenes import at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb
 from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, tag_facets
 from fenics_tfeti.models import isotropic, small_strain, symmetry_plane
 from fenics_tfeti.parallel import largest_of_ranks
@@ -61,3 +61,26 @@ def test_two_bodies_are_the_slave_of_one():
     np.testing.assert_allclose(contact.pressure, PRESSURE, rtol=1e-8)
     largest = largest_of_ranks(MPI.COMM_WORLD, np.abs(problem.u.x.array))
     assert largest == pytest.approx(2.0 * PRESSURE / YOUNG, rel=1e-9)
+
+
+@pytest.mark.parametrize("friction", [None, Coulomb(0.2)])
+@pytest.mark.parametrize("on_bar", [8, 9])
+def test_two_bodies_are_the_master_of_one(on_bar, friction):
+    """As two pairs: a step between the two blocks, of which one is soft, is not bridged."""
+    solved = []
+    for right in (LEFT, RIGHT):
+        bodies, tags = tagged(4, on_bar, right=right)
+        masters = [LEFT] if right == LEFT else [LEFT, RIGHT]
+        pairs = [
+            ContactPair(tags, BAR, master, roles="given", friction=friction) for master in masters
+        ]
+        solved.append(bar_on_two_blocks(bodies, pairs, young=YOUNG / 100))
+    one, two = solved
+    largest = largest_of_ranks(MPI.COMM_WORLD, np.abs(two.u.x.array))
+    np.testing.assert_allclose(one.u.x.array, two.u.x.array, rtol=0.0, atol=1e-7 * largest)
+    np.testing.assert_allclose(
+        one.results[0].force, np.sum([result.force for result in two.results], axis=0), rtol=1e-7
+    )
+    contact = one.results[0].gather()
+    assert contact.nodes.size == sum(result.gather().nodes.size for result in two.results)
+    assert np.sum(contact.normal_force) == pytest.approx(2.0 * PRESSURE, rel=1e-6)

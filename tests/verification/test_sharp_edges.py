@@ -53,6 +53,8 @@ def solved(dim, kind, whole, grid, **of_pair):
     [
         (2, "small", False),
         (2, "small", True),
+        (2, "exact", False),
+        (2, "finite", False),
         (3, "small", False),
         (3, "small", True),
         (3, "exact", False),

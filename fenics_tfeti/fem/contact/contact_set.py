@@ -48,13 +48,19 @@ class FoundContact:
     """A contact with its conditions, of the undeformed or of the deformed surfaces."""
 
     number: int  # among all contacts and tied pairs
-    key: str  # from step to step and in files, see `contact_keys`
+    contact_key: str  # from step to step and in files, see `contact_keys`
     roles: Roles  # the contact as the user gave it and as it is used
     pairing: ContactPairing
     undeformed: ContactPairing
     friction: NodalFriction | None = None  # at `pairing`
     on_body: OnBody | None = None  # where the conditions are on a rigid body
     rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
+    part: int = 0  # of the contact, see `match_pairs`
+
+    @property
+    def key(self) -> str:
+        """What the part of the contact is known by from step to step and in files."""
+        return self.contact_key + (f", part {self.part + 1}" if self.part else "")
 
     @property
     def contact(self) -> Contact:
@@ -134,7 +140,8 @@ class ContactSet:
     @property
     def names(self) -> list[str]:
         """Names of all contacts and tied pairs, by number."""
-        return [found.pairing.name for found in self.entries]
+        # a contact may have several parts
+        return [*{found.number: found.pairing.name for found in self.entries}.values()]
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other. Collective."""

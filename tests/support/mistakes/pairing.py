@@ -95,15 +95,6 @@ def surface_inside_the_other_body(comm):
     joined(scene)
 
 
-def folded_slave(comm):
-    """Two sides of a wedge of 60 degrees are one slave surface."""
-    scene = two_blocks(comm, "triangle", (2, 1))
-    x, upper = scene.mesh.geometry.x, scene.nodes(2)
-    low = upper[np.isclose(x[upper, 1], 1.0)]
-    x[low, 1] += np.sqrt(3.0) * np.abs(x[low, 0] - 0.5)
-    joined(scene)
-
-
 def inward_but_at(place):
     """Return a normal that is tangential where x is `place`."""
     return lambda x: np.array([np.isclose(x[0], place), -1.0 + np.isclose(x[0], place)])
@@ -165,5 +156,4 @@ MISTAKES = table(
     ("surfaces beside each other", shifted(3.0)),
     ("surfaces that meet in a sliver", shifted(1.0 - 1e-4)),
     ("surface inside the other body", surface_inside_the_other_body),
-    ("slave folded by more than a right angle", folded_slave),
 )

@@ -20,7 +20,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_gaps
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.surface_pairs import check_mortars
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_pairings, check_weight
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.solution.results import ContactResult
@@ -80,6 +80,10 @@ def deformed_contacts(
         stretch = new.pairing.stretch_at(boundary)
         total = replace(new.pairing, gap=new.pairing.gap + moved, stretch=stretch)
         measured.append(replace(new, pairing=total))
+    parts: dict[int, list[ContactPairing]] = {}
+    for (contact, _), new in zip(contacts, measured, strict=True):
+        parts.setdefault(id(contact), []).append(new.pairing)
+    check_pairings(list(parts.values()))
     return measured
 
 
@@ -151,7 +155,7 @@ def _deformed_mortar(
     shared = np.intersect1d(slave.nodes, master.nodes)
     given = contact.normal is not None
     conditions = mortar_conditions(surface, master, shared, prescribed, pairing.slave, given)
-    check_mortars(conditions, pairing.surface)
+    check_weight(conditions, pairing.surface)
     mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
     new = replace(
         pairing,

@@ -88,6 +88,27 @@ def pairing_summaries(
     return entries
 
 
+def joined_summary(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the entry of a contact from those of its parts; unmatched are none of their nodes."""
+    entry, pairs = dict(parts[0]), [part["pairs"] for part in parts]
+    for name in entry:
+        values = [part[name] for part in parts if part[name] is not None]
+        if not values or isinstance(values[0], str):
+            continue
+        if name in ("pairs", "covered_area"):
+            entry[name] = sum(values)
+        elif name in ("mean_gap", "blurred"):
+            weights = [n for n, part in zip(pairs, parts, strict=True) if part[name] is not None]
+            entry[name] = float(np.average(values, weights=weights))
+        elif name in ("smallest_gap", "unmatched"):
+            entry[name] = min(values)
+        else:
+            entry[name] = max(values)
+    if any(part["discretisation"] == "mortar" for part in parts):
+        entry["discretisation"] = "mortar"
+    return entry
+
+
 def warn_of_deviation(entry: Mapping[str, Any]) -> None:
     """Warn if the gaps of a contact are mostly smaller than the deviation of its facets."""
     # surfaces that touch at a point or on a line have few such nodes around it

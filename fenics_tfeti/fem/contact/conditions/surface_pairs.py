@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
@@ -23,20 +23,22 @@ from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
-from fenics_tfeti.fem.contact.mortar.facets import Planes
+from fenics_tfeti.fem.contact.mortar.facets import facet_normals
+from fenics_tfeti.fem.contact.mortar.integrals import integrate
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.patches import connected_facets, patch_colours
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
+    extremes,
     split,
     surface_of,
     tagged_facets,
 )
-from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes
-from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
@@ -46,8 +48,11 @@ Parts: TypeAlias = Mapping[int, tuple[NamedPair, Indices, Indices]]  # facets of
 
 def match_pairs(
     boundary: MeshBoundary, pairs: Sequence[NamedPair], fixed: Mask
-) -> list[ContactPairing]:
+) -> list[list[ContactPairing]]:
     """Find the slave's nodes, normals, partners and gaps of pairs, this rank's part. Collective.
+
+    A pair has several parts where its slave has sharp edges or its masters share no nodes: in each
+    of them a node has one condition at most, see `patches`.
 
     Of the master's facets each rank gets those near its slave facets. Pairs with normals or
     partners of the user are matched one by one, all others at once. For the mask see
@@ -68,14 +73,46 @@ def match_pairs(
         for role, tag in (("slave", contact.slave), ("master", contact.master))
     ]
     facets = tagged_facets(boundary, tagged)
-    parts = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
-    found: dict[int, ContactPairing] = {}
+    whole = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
+    found: list[list[ContactPairing]] = [[] for _ in pairs]
     for k, (_, contact) in enumerate(pairs):
         if contact.normal is not None or isinstance(contact.partners, NodePartners):
-            found |= _matched(boundary, {k: parts.pop(k)}, fixed)
-    if parts:
-        found |= _matched(boundary, parts, fixed)
-    return [found[k] for k in range(len(pairs))]
+            found[k] = [*_matched(boundary, {0: whole.pop(k)}, fixed).values()]
+    if whole:
+        numbers, parts = _split(boundary, whole)
+        matched = _matched(boundary, parts, fixed)
+        for part, number in enumerate(numbers):
+            found[number].append(matched[part])
+    check_pairings(found)
+    return found
+
+
+def _split(boundary: MeshBoundary, whole: Parts) -> tuple[list[int], Parts]:
+    """Return the numbers of the pairs that parts belong to, and the parts. Collective.
+
+    Each is of faces of the slave and of masters that have one colour.
+    """
+    pairs = _joined(boundary, whole)
+    sides, count = (pairs.slave, pairs.master), len(whole)
+    of_facets = face_colours(pairs.slave), master_colours(pairs.slave, pairs.master)
+    numbers = [
+        (1 + extremes(side.comm, colour.astype(float), side.facet_contact, count, -1.0))
+        .astype(int)
+        .tolist()
+        for side, colour in zip(sides, of_facets, strict=True)
+    ]
+    colours = (
+        split(side.facet_contact, colour, count)
+        for side, colour in zip(sides, of_facets, strict=True)
+    )
+    of_parts, parts = [], []
+    for (k, (pair, slave, master)), faces, bodies, of_slave, of_master in zip(
+        whole.items(), *numbers, *colours, strict=True
+    ):
+        for a, b in product(range(faces), range(bodies)):
+            of_parts.append(k)
+            parts.append((pair, slave[of_slave == a], master[of_master == b]))
+    return of_parts, dict(enumerate(parts))
 
 
 def _matched(
@@ -114,8 +151,7 @@ def _matched(
         shared, none = shared_nodes(pairs, master.nodes), np.zeros(0, dtype=np.int64)
         given = contacts[0].normal is not None
         found = mortar_conditions(slave, master, shared, prescribed, none, given)
-        check_folds(slave, found.covered)
-        check_mortars(found, slave)
+        check_weight(found, slave)
     return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
 
 
@@ -140,6 +176,39 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
         )
     )
     return JoinedPairs(contacts, slave, master)
+
+
+def face_colours(slave: Surface) -> Numbers:
+    """Return the colours (f,) of the smooth faces of slaves that this rank's facets are in.
+
+    Collective.
+    """
+    vertices = slave.boundary.nodes.to_global(slave.vertices)
+    ends = vertices[..., None]
+    if slave.corners.shape[2] == 3:
+        ends = np.sort(np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2), axis=2)
+    facet = np.repeat(np.arange(len(vertices)), vertices.shape[1])
+    normal = unit(facet_normals(slave.corners))[facet]
+    keys = ends.reshape(facet.size, slave.corners.shape[2] - 1)
+    face = connected_facets(slave.comm, keys, facet, len(vertices), normal)
+    return patch_colours(slave, face, vertices.ravel(), face[facet])
+
+
+def master_colours(slave: Surface, master: Surface) -> Numbers:
+    """Return the colours (f,) of masters that share no nodes, of this rank's facets. Collective."""
+    nodes, comm = master.boundary.nodes, master.comm
+    vertices = nodes.to_global(master.vertices)
+    facet = np.repeat(np.arange(len(vertices)), vertices.shape[1])
+    body = connected_facets(comm, vertices.ravel()[:, None], facet, len(vertices))
+    if comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1 <= len(master.names):
+        return np.zeros_like(body)
+    of_nodes = nodes.sum_at_owners(vertices.ravel(), body[facet], np.maximum)
+    near, part = gather_nearby(master, slave), slave.part()
+    opposite = nodes.values_at(of_nodes, near.nodes[near.facets.corners[:, 0]])
+    integrals = integrate(part.facets, near.facets)
+    corners = part.nodes[part.facets.corners[integrals.facet[integrals.pair]]]
+    at_corners = np.repeat(opposite[integrals.master], corners.shape[1])
+    return patch_colours(master, body, corners.ravel(), at_corners)
 
 
 def _pairings(
@@ -226,52 +295,44 @@ def user_gaps(comm: MPI.Intracomm, value: Any, points: Vector, name: str) -> Vec
     return scalars_at(comm, value, points, points.shape[1], f"{name}: initial_gap")
 
 
-def check_mortars(conditions: Conditions, slave: Surface) -> None:
-    """Check that conditions of a slave are on more than slivers, with areas. Collective."""
-    check_covered(conditions, slave)
+def check_weight(conditions: Conditions, slave: Surface) -> None:
+    """Check that the conditions of a slave have areas. Collective."""
     if slave.boundary.weight is not None:
         slave.check_weight(conditions.area, slave.rows_of(conditions.terms.slave))
 
 
-def check_covered(conditions: Conditions, slave: Surface) -> None:
-    """Check that the masters cover a part of each slave, and more than slivers. Collective."""
-    on_surface = slave.rows_of(conditions.terms.slave)
-    facets, rows = slave.counts(slave.facet_contact[conditions.covered], slave.contact[on_surface])
-    for contact in np.flatnonzero(facets == 0)[:1]:
+def check_pairings(pairings: Sequence[Sequence[ContactPairing]]) -> None:
+    """Check that the parts of each pair are covered as in `check_covered`. Collective."""
+    mortars = [parts for parts in pairings if any(part.is_mortar for part in parts)]
+    check_covered(
+        [parts[0].surface for parts in mortars],
+        [sum(int(part.covered.sum()) for part in parts) for parts in mortars],
+        [sum(part.gap.size for part in parts) for parts in mortars],
+    )
+
+
+def check_covered(slaves: Sequence[Surface], covered: Sequence[int], rows: Sequence[int]) -> None:
+    """Check that masters cover a part of each slave, and more than slivers. Collective.
+
+    Of each slave there are the numbers of this rank's covered facets and conditions.
+    """
+    if not slaves:
+        return
+    totals = np.array([covered, rows])
+    slaves[0].comm.Allreduce(MPI.IN_PLACE, totals)
+    for contact in np.flatnonzero(totals[0] == 0)[:1]:
         raise InputError(
-            f"{slave.names[contact]}: no facet of the slave has a facet of the master opposite it: "
-            "along the normals the surfaces never meet, or they face away from each other. "
+            f"{slaves[contact].names[0]}: no facet of the slave has a facet of the master opposite "
+            "it: along the normals the surfaces never meet, or they face away from each other. "
             "Surfaces that touch face each other: is one of the tags on the far side of its body, "
             "or on another body?"
         )
-    if bad := slave.first_wrong(rows[slave.contact] == 0):
+    for contact in np.flatnonzero(totals[1] == 0)[:1]:
+        slave = slaves[contact]
+        bad = slave.first_wrong(np.ones(slave.nodes.size, dtype=bool))
+        assert bad is not None
         raise InputError(
-            f"{bad.name}: the master covers slivers of {facets[bad.contact]} slave "
+            f"{bad.name}: the master covers slivers of {totals[0, contact]} slave "
             f"facets only, too little for any of the {bad.number} slave nodes, the first at "
             f"{bad.place}. Tag surfaces that lie over each other, not ones that meet at an edge"
-        )
-
-
-def check_folds(surface: Surface, covered: Mask) -> None:
-    """Check that neighbours among covered facets (f,) are folded by 90 degrees at most."""
-    slave = surface.part(covered)
-    corners, points = slave.facets.pieces, slave.points
-    normal = Planes.of(slave.facets.coordinates()).normal
-    v, gdim = corners.shape[1], points.shape[1]
-    ends = np.stack([corners, corners if v == 2 else np.roll(corners, -1, axis=1)], axis=2)
-    middle = points[ends].mean(axis=2).reshape(-1, gdim)
-    edges = np.sort(slave.nodes[ends.reshape(-1, 2)], axis=1)
-    of_edges = np.repeat(slave.facets.contact_of(corners[:, 0]), v)
-    columns = surface.boundary.nodes.to_owners(
-        edges[:, 0], edges[:, 1], middle, np.repeat(normal, v, axis=0), of_edges
-    )
-    order = np.lexsort((columns[1], columns[0]))
-    low, high, middle, normal, contact = (column[order] for column in columns)
-    same = (low[1:] == low[:-1]) & (high[1:] == high[:-1])
-    folded = same & (np.sum(normal[1:] * normal[:-1], axis=1) < -RELATIVE_ROUNDING)
-    if bad := first_wrong(surface.comm, folded, middle[1:], contact[1:], surface.names):
-        raise InputError(
-            f"{bad.name}: the slave's surface is folded by more than 90 degrees at "
-            f"{bad.number} edges, the first at {bad.place}. Tag the two sides of a sharp edge as "
-            "surfaces of two contacts, or make the other surface the slave"
         )

@@ -186,7 +186,7 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
     # nodes where a component is prescribed have no condition for it
     sizes = [comm.allreduce(part.terms.slave.size) for part in conditions]
     fullest = conditions[int(np.argmax(sizes))]
-    check_covered(fullest, slave)
+    check_covered([slave], [int(fullest.covered.sum())], [fullest.area.size])
     rows = slave.rows_of(fullest.terms.slave)
     # the rotation of facets says nothing about surfaces that are farther apart than these are large
     distance = np.linalg.norm(fullest.gap, axis=1)

@@ -39,6 +39,7 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Vector
 
+Key = TypeVar("Key")
 Pairing = TypeVar("Pairing", ContactPairing, TiedPairing)
 
 
@@ -85,7 +86,8 @@ class ContactSearch:
         """Return the undeformed conditions; only what changed is searched again. Collective."""
         ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
         given = {k: contact for k, contact in enumerate(contacts) if not isinstance(contact, Tie)}
-        known_keys = [(f.roles.given, f.key) for f in self._last.contacts] if self._last else []
+        last_contacts = self._last.contacts if self._last else []
+        known_keys = [(f.roles.given, f.contact_key) for f in last_contacts]
         keys = dict(zip(given, contact_keys([*given.values()], known_keys), strict=True))
         touching = {k: self._roles_of(contact, keys[k]) for k, contact in given.items()}
         self.rigid.check_supports(prescribed)
@@ -93,7 +95,7 @@ class ContactSearch:
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
             last = self._last or ContactSet(self.boundary, [], [], prescribed, none, self.rigid)
             known = [(found.contact, found.undeformed) for found in last.contacts]
-            pairings = match_contacts(
+            matched = match_parts(
                 self.boundary,
                 [roles.used for roles in touching.values()],
                 known,
@@ -102,10 +104,12 @@ class ContactSearch:
                 self._displacement,
             )
             checked = {id(pairing) for _, pairing in known}
-            check_depth(self._space, self._bodies, [p for p in pairings if id(p) not in checked])
+            new = [pairing for parts in matched for pairing in parts if id(pairing) not in checked]
+            check_depth(self._space, self._bodies, new)
             found_contacts = [
-                FoundContact(k, keys[k], roles, pairing, pairing).placed(self.rigid)
-                for (k, roles), pairing in zip(touching.items(), pairings, strict=True)
+                FoundContact(k, keys[k], roles, pairing, pairing, part=part).placed(self.rigid)
+                for (k, roles), parts in zip(touching.items(), matched, strict=True)
+                for part, pairing in enumerate(parts)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)
             mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
@@ -122,7 +126,7 @@ class ContactSearch:
             found = ContactSet(
                 self.boundary, found_contacts, found_ties, prescribed, bodies, self.rigid
             ).with_friction()
-        self._last, self._roles = found, {f.key: f.roles for f in found.contacts}
+        self._last, self._roles = found, {f.contact_key: f.roles for f in found.contacts}
         return found
 
     def _roles_of(self, contact: Contact, key: str) -> Roles:
@@ -199,8 +203,13 @@ class ContactSearch:
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
         pairings = [found.contacts[index].undeformed for index in new]
         ratios, poor = roles_ratios(comm, pairings, stiffness), dict[str, Roles]()
-        for index, ratio in zip(new, ratios, strict=True):
-            key, roles = found.keys[index], replace(found.contacts[index].roles, are_decided=True)
+        of_contacts: dict[str, tuple[Roles, list[float]]] = {}
+        for index, of_part in zip(new, ratios, strict=True):
+            entry = found.contacts[index]
+            of_parts = of_contacts.setdefault(entry.contact_key, (entry.roles, []))[1]
+            of_parts += [] if of_part is None else [of_part]
+        for key, (undecided, of_parts) in of_contacts.items():
+            roles, ratio = replace(undecided, are_decided=True), max(of_parts, default=None)
             if roles.used is roles.given and ratio is not None:
                 roles = replace(roles, ratio=ratio).kept()
                 if roles.are_better_exchanged:
@@ -209,7 +218,7 @@ class ContactSearch:
         found = self._with_exchanged(found, contacts, poor)
         decided = list(found.contacts)
         for index in new:
-            decided[index] = replace(decided[index], roles=self._roles[found.keys[index]])
+            decided[index] = replace(decided[index], roles=self._roles[decided[index].contact_key])
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 entry = decided[index]
@@ -248,14 +257,29 @@ def match_contacts(
     names: Sequence[str] | None = None,
     displacement: Function | None = None,
 ) -> list[ContactPairing]:
+    """Match the surfaces of all contacts, and return all of their parts. Collective."""
+    matched = match_parts(boundary, contacts, known, prescribed, names, displacement)
+    return [pairing for parts in matched for pairing in parts]
+
+
+def match_parts(
+    boundary: MeshBoundary,
+    contacts: Sequence[Contact],
+    known: Sequence[tuple[Contact, ContactPairing]] = (),
+    prescribed: Prescribed | None = None,
+    names: Sequence[str] | None = None,
+    displacement: Function | None = None,
+) -> list[list[ContactPairing]]:
     """Match the surfaces of all contacts, and check that new ones join no others. Collective.
 
-    Of the known results, pairs are not searched again, obstacles are evaluated again. Prescribed
-    displacements of this rank's nodes tell planes of symmetry. By default contacts without a name
-    get one by their place. Obstacles are evaluated on surfaces deformed by a displacement, if one
-    is given.
+    Each contact has one or more parts, see `match_pairs`. Of the known results, pairs are not
+    searched again, obstacles are evaluated again. Prescribed displacements of this rank's nodes
+    tell planes of symmetry. By default contacts without a name get one by their place. Obstacles
+    are evaluated on surfaces deformed by a displacement, if one is given.
     """
-    comm, earlier = boundary.nodes.comm, {id(contact): pairing for contact, pairing in known}
+    comm, earlier = boundary.nodes.comm, dict[int, list[ContactPairing]]()
+    for contact, pairing in known:
+        earlier.setdefault(id(contact), []).append(pairing)
     deformed = None
     if displacement is not None:
         displacement.x.scatter_forward()
@@ -269,20 +293,29 @@ def match_contacts(
         if isinstance(contact, ContactPair)
     }
     fixed = prescribed_components(boundary.nodes, prescribed or Prescribed())
-    old = {k: earlier[id(pair)] for k, (_, pair) in pairs.items() if id(pair) in earlier}
+    old = {
+        (k, part): pairing
+        for k, (_, pair) in pairs.items()
+        for part, pairing in enumerate(earlier.get(id(pair), []))
+    }
     unchanged = _unchanged(boundary, old, fixed)
-    found = {k: _refreshed(pairs.pop(k), pairing) for k, pairing in unchanged.items()}
+    changed = {k for k, _ in old.keys() - unchanged.keys()}
+    found: dict[int, list[ContactPairing]] = {}
+    for (k, _), pairing in unchanged.items():
+        if k not in changed:
+            found.setdefault(k, []).append(_refreshed(pairs[k], pairing))
+    pairs = {k: pair for k, pair in pairs.items() if k not in found}
     found |= dict(zip(pairs, match_pairs(boundary, [*pairs.values()], fixed), strict=True))
     for k, (name, contact) in enumerate(zip(names, contacts, strict=True)):
         if isinstance(contact, RigidObstacle):
-            last = earlier.get(id(contact))
-            found[k] = match_obstacle(boundary, name, contact, last, deformed)
+            last = next(iter(earlier.get(id(contact), [])), None)
+            found[k] = [match_obstacle(boundary, name, contact, last, deformed)]
     return [found[k] for k in range(len(contacts))]
 
 
 def _unchanged(
-    boundary: MeshBoundary, known: Mapping[int, Pairing], fixed: Mask
-) -> dict[int, Pairing]:
+    boundary: MeshBoundary, known: Mapping[Key, Pairing], fixed: Mask
+) -> dict[Key, Pairing]:
     """Return the earlier results that hold still. Collective.
 
     They are pairs of nodes, but for areas with a weight, which may have changed, and mortar

@@ -22,16 +22,15 @@ from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
+from fenics_tfeti.fem.contact.surfaces.patches import connected_facets
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import (
     batches,
     cell_facets,
-    connected_labels,
-    distinct_rows,
     exterior_cell_facets,
 )
-from fenics_tfeti.parallel import Directory, all_to_all, concatenate_ranks, first_of_rank
+from fenics_tfeti.parallel import all_to_all, first_of_rank
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 
@@ -69,27 +68,9 @@ class ExteriorFacets:
             ends = np.sort(np.stack([self.vertices, np.roll(self.vertices, -1, axis=1)], 2), axis=2)
         edges = ends.reshape(self.number.size * v, gdim - 1)
         facet = np.repeat(np.arange(self.number.size), v)
-        keys = np.column_stack([self.body[facet], edges])
+        keys = np.column_stack([edges, self.body[facet]])
         normal = unit(facet_normals(self.corners))[facet]
-        part = connected_labels(_smooth_pairs(keys, normal, facet), self.number.size)
-        if comm.size == 1:
-            return part
-        # parts of faces on this rank, numbered over all ranks, then joined through their edges
-        first, total = first_of_rank(comm, int(part.max(initial=-1)) + 1)
-        directory = Directory(comm, np.unique(edges[:, 0]))
-        _, *columns = directory.collect(edges[:, 0], keys, normal, first + part[facet])
-        joined = distinct_rows(_smooth_pairs(*columns))[0]
-        return connected_labels(concatenate_ranks(comm, joined), total)[first + part]
-
-
-def _smooth_pairs(keys: Numbers, normal: Vector, label: Numbers) -> Numbers:
-    """Return pairs (p, 2) of different labels of facets that meet smoothly at edges (n, k)."""
-    least_cosine = 0.5
-    order = np.lexsort(keys.T)
-    keys, normal, label = keys[order], normal[order], label[order]
-    smooth = np.sum(normal[1:] * normal[:-1], axis=1) > least_cosine
-    meet = (keys[1:] == keys[:-1]).all(axis=1) & smooth & (label[1:] != label[:-1])
-    return np.column_stack([label[:-1][meet], label[1:][meet]])
+        return connected_facets(comm, keys, facet, self.number.size, normal)
 
 
 @dataclass(frozen=True)

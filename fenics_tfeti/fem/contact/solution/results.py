@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Self
 
@@ -10,6 +11,7 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.summary import joined_summary
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame
 from fenics_tfeti.feti.report.resultants import ContactForces
 from fenics_tfeti.parallel import concatenate_ranks
@@ -219,6 +221,20 @@ class ContactResult(_SurfaceResult):
     on_master: bool = False
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
 
+    @staticmethod
+    def joined(parts: Sequence[ContactResult]) -> ContactResult:
+        """Return the result of a contact from those of its parts, each with all sums."""
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        friction = None
+        if first.friction is not None:
+            friction = _concatenated([part.friction for part in parts])
+        summary = joined_summary([part.entry.pairing for part in parts])
+        depths = [part.entry.penetration for part in parts if part.entry.penetration is not None]
+        entry = replace(first.entry, pairing=summary, penetration=max(depths, default=None))
+        return replace(_concatenated(parts), entry=entry, friction=friction)
+
     def seen_from_master(self) -> ContactResult:
         """Return the result with all directions as on the other surface."""
         friction = self.friction
@@ -384,6 +400,16 @@ class Results(tuple[Any, ...]):
 
     def __repr__(self) -> str:
         return f"Results({', '.join(map(repr, self.names))})"
+
+
+def _concatenated(parts: Sequence[Any]) -> Any:
+    """Return the first of some results with the arrays of all of them."""
+    arrays = {
+        column.name: np.concatenate([getattr(part, column.name) for part in parts])
+        for column in fields(parts[0])
+        if isinstance(getattr(parts[0], column.name), np.ndarray)
+    }
+    return replace(parts[0], **arrays)
 
 
 def _gathered(result: Any, comm: MPI.Intracomm, order: Numbers) -> Any:

@@ -83,9 +83,12 @@ class SolvedContacts:
     def as_given(self) -> Results:
         """Return the results by number, in the roles that the user gave."""
         numbered: dict[int, ContactResult | TiedResult] = {}
+        parts: dict[int, list[ContactResult]] = {}
         for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
             is_exchanged = found.roles.used is not found.roles.given
-            numbered[found.number] = result.seen_from_master() if is_exchanged else result
+            result = result.seen_from_master() if is_exchanged else result
+            parts.setdefault(found.number, []).append(result)
+        numbered |= {number: ContactResult.joined(results) for number, results in parts.items()}
         for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
             numbered[tie.number] = tied_result
         return Results([numbered[number] for number in sorted(numbered)])
@@ -192,7 +195,8 @@ def _body_result(
     conditions: ContactSet, frame: BodyFrame, solution: TornSolution
 ) -> RigidBodyResult:
     force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
-    for found in conditions.entries:
+    # each contact once, which may have several parts
+    for found in {found.number: found for found in conditions.entries}.values():
         is_obstacle = isinstance(found, FoundContact) and found.body is frame.body
         if is_obstacle or found.rigid_master is frame.body:
             entry = solution.report.contacts[found.number]

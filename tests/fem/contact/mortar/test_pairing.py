@@ -11,6 +11,8 @@ from dolfinx.fem import Function
 from fenics_tfeti import ContactPair, Exact
 from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
+from fenics_tfeti.fem.contact.search.contact_search import match_contacts
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 TERMS = Terms(
     offsets=np.array([0, 3, 6]),
@@ -112,9 +114,13 @@ def test_same_conditions_where_nothing_changed():
     np.testing.assert_array_equal(problem.system.contacts.coefficients, rows.coefficients)
 
 
-def test_fold_below_a_right_angle():
-    """The slave's face has an edge in its middle, of slopes below 45 degrees."""
+@pytest.mark.parametrize("slope", [0.4, 1.0])
+def test_faces_of_a_slave_are_matched_apart(slope):
+    """The slave has an edge in its middle, at which it turns by more than 60 degrees."""
     V, tags = strips((4, 2), (2, 2))
     middle = lambda x: np.isclose(x[:, 0], 0.5) & np.isclose(x[:, 1], 1.1)  # noqa: E731
-    bend(V, middle, lambda x: x - [0.0, 0.4, 0.0])
-    assert matched(V, ContactPair(tags, SLAVE, MASTER)).summary["pairs"] == 3
+    bend(V, middle, lambda x: x - [0.0, slope, 0.0])
+    left, right = match_contacts(MeshBoundary.of(V), [ContactPair(tags, SLAVE, MASTER)])
+    normal = np.array([2.0 * slope, 1.0]) / np.hypot(2.0 * slope, 1.0)
+    np.testing.assert_allclose(left.normal, [-normal, -normal], rtol=1e-12)
+    np.testing.assert_allclose(right.normal, 2 * [normal * [1.0, -1.0]], rtol=1e-12)
