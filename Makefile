@@ -51,8 +51,9 @@ test-latest:  ## the tests with the newest releases of all packages; reports, an
 	@tools/test-latest.sh debian
 	@tools/test-latest.sh wheel
 
-fuzz: env  ## N random problems on RANKS ranks, from seed FIRST, against an independent solver
+fuzz: env  ## N random problems and scenes on RANKS ranks, from seed FIRST, against what is known
 	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST)
+	$(PY) tests/fuzz/run.py -n $(N) --ranks $(RANKS) --first $(FIRST) --level scenes
 
 verify: env  ## the tests marked heavy, on several ranks those for them
 	@MARKS=heavy MPI_RANKS="$(MPI_RANKS)" tools/test.sh .venv

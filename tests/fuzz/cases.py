@@ -56,11 +56,18 @@ class _Case:
         return compare(problem, oracle.solve(problem), self.found, self.rtol)
 
 
-def solve_case(level: str, seed: int, comm: MPI.Comm, notes: MPI.Comm) -> Outcome:
+def solve_case(
+    level: str, seed: int, comm: MPI.Comm, notes: MPI.Comm, situation: str = ""
+) -> Outcome:
     """Solve the case of a seed on all ranks of a communicator; the outcome is that of rank 0.
 
     `notes` is another communicator of the same ranks, for what they tell each other in the end.
+    Of the level "scenes" a situation can be given.
     """
+    if level == "scenes":
+        from situations import solve_situation
+
+        return solve_situation(seed, comm, notes, situation)[0]
     case = _solve(level, seed, comm)
     differ = agree(notes, case.found)
     if differ:
@@ -174,8 +181,15 @@ def _found(
     return Found(u, jump, force, tied, tangential, normal, report.energy, products)
 
 
-def tell_case(level: str, seed: int) -> None:
+def tell_case(level: str, seed: int, situation: str = "") -> None:
     """Print the case of a seed and both solutions."""
+    if level == "scenes":
+        from situations import solve_situation
+
+        outcome, story = solve_situation(seed, MPI.COMM_SELF, MPI.COMM_SELF, situation)
+        print("\n".join(story))
+        print(f"{outcome.kind}: {outcome.detail}\n{outcome.numbers}")
+        return
     case = _solve(level, seed, MPI.COMM_SELF)
     print("\n".join(case.story))
     if case.found.error is not None:

@@ -44,7 +44,7 @@ def _worker(arguments: argparse.Namespace) -> None:
             print(json.dumps({"begin": seed}), file=out, flush=True)
         faulthandler.dump_traceback_later(0.8 * arguments.timeout)
         start = time.monotonic()
-        outcome = solve_case(arguments.level, seed, comm, notes)
+        outcome = solve_case(arguments.level, seed, comm, notes, arguments.situation)
         faulthandler.cancel_dump_traceback_later()
         if out:
             line = {
@@ -83,6 +83,7 @@ class _Workers:
     def start(self) -> None:
         a = self.arguments
         command = [sys.executable, str(HERE / "run.py"), "--worker", "--level", a.level]
+        command += ["--situation", a.situation]
         command += ["--first", str(self.next), "-n", str(self.left), "--stride", str(self.stride)]
         command += ["--timeout", str(a.timeout), "--output", str(self.path)]
         command += ["--parent", str(os.getpid())]
@@ -194,10 +195,12 @@ def main() -> int:
     parser.add_argument("--seed", type=int, help="one case, told in full")
     parser.add_argument(
         "--level",
-        choices=["feti", "mesh", "both"],
+        choices=["feti", "mesh", "both", "scenes"],
         default="both",
-        help="torn systems, problems of dolfinx, or every fifth seed the latter",
+        help="torn systems, problems of dolfinx, every fifth seed the latter, or situations "
+        "that other descriptions of them and the laws of mechanics judge",
     )
+    parser.add_argument("--situation", default="", help="of the scenes, one by its name")
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds for one case")
@@ -215,7 +218,7 @@ def main() -> int:
     if arguments.seed is not None:
         from cases import tell_case
 
-        tell_case(arguments.level, arguments.seed)
+        tell_case(arguments.level, arguments.seed, arguments.situation)
         return 0
     # whoever ends this process means its workers too
     for number in (signal.SIGTERM, signal.SIGHUP):

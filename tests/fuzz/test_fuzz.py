@@ -10,8 +10,10 @@ from mpi4py import MPI
 
 import pytest
 from cases import solve_case
+from drawing import SITUATIONS
 from mesh_options import draw_mesh_case
 from outcome import FINE
+from situations import draw_situation
 
 RUN = Path(__file__).with_name("run.py")
 
@@ -87,6 +89,21 @@ def test_random_problems(level, first, count, tmp_path):
     assert kinds.count("skipped") <= 0.05 * count
     assert kinds.count("right") >= 0.4 * count
     assert kinds.count("right error") >= 0.05 * count
+
+
+@pytest.mark.once
+@pytest.mark.parametrize("situation", [
+    "corners", "free_bodies", "given_normal", "interference", "measure_weight", "moving_bodies",
+    "refused", "shared_nodes", "sides_in_tag", "tied_caps", "tipping", "travelling_plate",
+    "turned_ties", "turning_obstacle", "two_rules",
+])  # fmt: skip
+def test_situation(situation):
+    outcome = solve_case("scenes", 0, MPI.COMM_WORLD, MPI.COMM_SELF, situation)
+    assert outcome.kind in ("right", "right error"), outcome.detail
+
+
+def test_situations_are_drawn():
+    assert {draw_situation(seed) for seed in range(200)} == set(SITUATIONS)
 
 
 def test_options_are_drawn():
