@@ -330,6 +330,10 @@ def interference(draw: Draw) -> Ratios:
 
     first, second = solved(draw.frame(2), True), solved(draw.frame(2), False)
     assert draw.posed is not None
+    if kind == "waves":
+        # gaps between facets of other sizes depend on the slave: nothing is pushed far
+        sizes = [draw.posed.largest(answer.u) for answer in (first, second)]
+        return {"size": sizes[1] / (5.0 * sizes[0])}
     # slave and master may be others, and nodes in pairs
     return differ(draw.posed, first, second, 0.1)
 
