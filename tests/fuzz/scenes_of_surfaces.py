@@ -321,7 +321,7 @@ def interference(draw: Draw) -> Ratios:
         if (LEFT, marks[-1][1]) == marks[-1][:2]:
             posed.hold(LEFT)
         for slave, master, _, _ in pairs if is_named else ():
-            posed.add_pair(slave, master, partners="mortar", roles="given")
+            posed.add_pair(slave, master, roles="given")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             answer = posed.solve(**({} if is_named else {"contacts": "auto"}))
