@@ -42,6 +42,9 @@ def moving_bodies(draw: Draw) -> Ratios:
     law = draw.one_of(None, None, Coulomb(0.3))
     posed.hold(BASE, up(g, draw.between(0.01, 0.08), 0.02 if law else 0.0))
     border = draw.count(1, 2 * n - 1) / n
+    if method != "linear":
+        # a node that stands on the edge of an obstacle would slide off it and on again
+        border += 0.3 / n
     spans = [(-np.inf, np.inf)] * draw.count(1, 2)
     spans += draw.one_of([], [(0.0, border), (border, 2.0)])
     if len(spans) == 1:

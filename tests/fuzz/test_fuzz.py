@@ -93,9 +93,10 @@ def test_random_problems(level, first, count, tmp_path):
 
 @pytest.mark.once
 @pytest.mark.parametrize("situation", [
-    "corners", "free_bodies", "given_normal", "interference", "measure_weight", "moving_bodies",
-    "refused", "shared_nodes", "sides_in_tag", "tied_caps", "tipping", "travelling_plate",
-    "turned_ties", "turning_obstacle", "two_rules",
+    "corners", "cracks", "free_bodies", "given_normal", "interference", "measure_weight",
+    "moving_bodies", "pressures", "refused", "several_bodies", "shared_nodes", "sides_in_tag",
+    "swapped_contacts", "tied_caps", "tipping", "travelling_plate", "turned_ties",
+    "turning_obstacle", "two_rules",
 ])  # fmt: skip
 def test_situation(situation):
     outcome = solve_case("scenes", 0, MPI.COMM_WORLD, MPI.COMM_SELF, situation)
