@@ -269,11 +269,19 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Find and assemble what has changed."""
 
     def _store(
-        self, solution: TornSolution, conditions: ContactSet, bodies: RigidBodies, **report: Any
+        self,
+        solution: TornSolution,
+        conditions: ContactSet,
+        bodies: RigidBodies,
+        is_last: bool = True,
+        **report: Any,
     ) -> None:
-        """Keep the solution that was found with conditions, and has moved rigid bodies."""
-        on_deformed = bool(self._exact)
-        self._solved = solved = SolvedContacts.of(conditions, solution, self.u, bodies, on_deformed)
+        """Keep the solution that was found with conditions, and has moved rigid bodies.
+
+        Only of the last one of a solve nodes without a condition are looked at.
+        """
+        solved = SolvedContacts.of(conditions, solution, self.u, bodies, bool(self._exact))
+        self._solved = solved = solved.with_penetration() if is_last else solved
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self._report = self._report_type.of(
             solution.report,

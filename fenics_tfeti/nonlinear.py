@@ -26,7 +26,7 @@ from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
 from fenics_tfeti.load_steps import SteppedProblem
-from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonStep
+from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.report import ContactReport
@@ -199,8 +199,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
         try:
             for state in iteration.run(first, monitor):
-                solution, conditions = state.solution(iteration.solution), state.rows.conditions
-                self._store(solution, conditions, state.bodies, newton=list(iteration.steps))
+                self._store_state(state, iteration, is_last=False)
                 self._step = replace(
                     self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
                 )
@@ -217,9 +216,16 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             return
         finally:
             self._solver = iteration.solver
+        self._store_state(state, iteration)
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
+
+    def _store_state(
+        self, state: NewtonState, iteration: NewtonIteration, is_last: bool = True
+    ) -> None:
+        solution, conditions = state.solution(iteration.solution), state.rows.conditions
+        self._store(solution, conditions, state.bodies, is_last, newton=list(iteration.steps))
 
     def _update(self) -> None:
         if not self._torn.update_supports(self.bcs, self.contacts):

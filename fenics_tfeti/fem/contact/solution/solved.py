@@ -68,7 +68,7 @@ class SolvedContacts:
         uh.x.scatter_forward()
         deformed = conditions.boundary.deformed(uh) if on_deformed else None
         contacts = [
-            _contact_result(conditions, f, solution, uh, deformed, opening, *of_contact)
+            _contact_result(conditions, f, solution, deformed, opening, *of_contact)
             for f, *of_contact in zip(found, conditions.positions, sites, strict=True)
         ]
         rows_of_ties = consecutive([tie.pairing.rows.size for tie in conditions.ties])
@@ -79,6 +79,19 @@ class SolvedContacts:
         ]
         results = [_body_result(conditions, frame, solution) for frame in bodies.frames]
         return SolvedContacts(conditions, contacts, ties, uh, bodies, results)
+
+    def with_penetration(self) -> SolvedContacts:
+        """Return it with depths of nodes without a condition, told where they count. Collective."""
+        contacts = []
+        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
+            contact, pairing = found.contact, found.pairing
+            if isinstance(contact, ContactPair) and pairing.is_mortar:
+                depth = measured_penetration(
+                    contact, found.undeformed, pairing.slave, self.displacement
+                )
+                result = replace(result, entry=replace(result.entry, penetration=depth))
+            contacts.append(result)
+        return replace(self, contacts=contacts)
 
     def as_given(self) -> Results:
         """Return the results by number, in the roles that the user gave."""
@@ -123,7 +136,6 @@ def _contact_result(
     conditions: ContactSet,
     found: FoundContact,
     solution: TornSolution,
-    uh: Function,
     deformed: MeshBoundary | None,
     opening: Vector,
     rows: Numbers,
@@ -133,16 +145,13 @@ def _contact_result(
     if deformed is not None:
         # the solution has displaced the surfaces of its conditions
         pairing = pairing.with_stretch(pairing.stretch_at(deformed))
-    force, contact, penetration = solution.normal_force[rows], found.contact, None
-    if isinstance(contact, ContactPair) and pairing.is_mortar:
-        penetration = measured_penetration(contact, found.undeformed, pairing.slave, uh)
+    force = solution.normal_force[rows]
     pressure = pairing.mean_traction(force)
     entry = ContactEntry(
         **vars(solution.report.contacts[found.number]),
         pairing=found.undeformed.summary,
         roles_ratio=found.roles.ratio,
         roles=found.roles.reason,
-        penetration=penetration,
     )
     return ContactResult(
         pairing.name,
