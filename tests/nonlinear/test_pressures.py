@@ -72,8 +72,8 @@ def largest(comm, values):
 
 @pytest.mark.ranks
 @pytest.mark.parametrize("geometry", [None, Exact(1e-6)], ids=["finite strains", "exact"])
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("cells", [3, 4])
+# pairs of nodes of degree 1, mortars of both degrees
+@pytest.mark.parametrize(("cells", "degree"), [(3, 1), (4, 1), (4, 2)])
 @pytest.mark.parametrize("kind", ["plane strain", "axisymmetric"])
 def test_uniform_pressure(kind, cells, degree, geometry):
     problem, _ = pressed(kind, cells, degree, geometry)
@@ -100,8 +100,7 @@ def test_uniform_pressure(kind, cells, degree, geometry):
 
 
 @pytest.mark.parametrize("geometry", [None, Exact(1e-6)], ids=["finite strains", "exact"])
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("cells", [3, 4])
+@pytest.mark.parametrize(("cells", "degree"), [(3, 1), (4, 2)])
 def test_a_changed_weight_counts_in_the_next_solve(cells, degree, geometry):
     """Twice the thickness: twice the forces, areas and bounds of friction."""
     problem, thickness = pressed("plane strain", cells, degree, geometry)
