@@ -286,7 +286,9 @@ class ContactSet:
         bodies, contacts = bodies or self.bodies, []
         pairings = (last or self).pairings
         at_bodies = [found.contact_at(bodies) for found in self.contacts]
-        measured = deformed_contacts(list(zip(at_bodies, pairings, strict=True)), uh)
+        # rows of small strains act on undeformed bodies, which given normals leave free to turn
+        is_finite = bodies.from_here
+        measured = deformed_contacts(list(zip(at_bodies, pairings, strict=True)), uh, is_finite)
         for found, new in zip(self.contacts, measured, strict=True):
             found = replace(found, pairing=new.pairing)
             if found.body is not None:

@@ -182,4 +182,4 @@ class Certificate:
 
 def _largest(numbers: Sequence[float]) -> float:
     """Return the largest number or 0, infinite if one is NaN."""
-    return max((np.inf if np.isnan(x) else float(x) for x in numbers), default=0.0)
+    return max([0.0, *(np.inf if np.isnan(x) else float(x) for x in numbers)])

@@ -51,13 +51,15 @@ class DeformedContact:
 
 
 def deformed_contacts(
-    contacts: Sequence[tuple[Contact, ContactPairing]], displacement: Function
+    contacts: Sequence[tuple[Contact, ContactPairing]],
+    displacement: Function,
+    turns_normals: bool = True,
 ) -> list[DeformedContact]:
     """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
-    function, or the user's, turned with the facets. The gap to a master is along it, see
-    `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
+    function, or the user's, turned with the facets or as it is. The gap to a master is along it,
+    see `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
     """
     with raise_collectively(displacement.function_space.mesh.comm):
         if not np.isfinite(owned_values(displacement)).all():
@@ -75,7 +77,12 @@ def deformed_contacts(
     u = boundary.nodes.values(displacement)
     measured = []
     for (contact, pairing), surfaces in zip(contacts, needed, strict=True):
-        new = _deformed(contact, pairing, [next(gathered) for _ in surfaces], boundary)
+        surface = pairing.surface
+        if isinstance(contact, ContactPair) and contact.normal is not None and turns_normals:
+            rotations = SurfaceRotations.of(surface, boundary)
+            surface = replace(surface, normal=rotations.turned(surface.normal))
+        whole = [next(gathered) for _ in surfaces]
+        new = _deformed(contact, pairing, surface.normal, whole, boundary)
         moved = np.sum(new.pairing.relative(u) * new.pairing.normal, axis=1)
         stretch = new.pairing.stretch_at(boundary)
         total = replace(new.pairing, gap=new.pairing.gap + moved, stretch=stretch)
@@ -90,19 +97,21 @@ def deformed_contacts(
 def _deformed(
     contact: Contact,
     pairing: ContactPairing,
+    user_normal: Vector,
     surfaces: Sequence[SurfaceFacets],
     boundary: MeshBoundary,
 ) -> DeformedContact:
     """Measure a contact with its whole deformed surfaces; none for mortars. Collective.
 
-    The gaps of the new conditions are distances of the deformed surfaces.
+    Where the user has given normals, they are those (k, gdim) at the nodes of the surface. The gaps
+    of the new conditions are distances of the deformed surfaces.
     """
     if pairing.is_mortar:
         assert isinstance(contact, ContactPair)
-        return _deformed_mortar(contact, pairing, boundary)
+        return _deformed_mortar(contact, pairing, user_normal, boundary)
     has_user_normals = isinstance(contact, ContactPair) and contact.normal is not None
     if has_user_normals:
-        normal = _turned_normals(pairing.surface, boundary)
+        normal = user_normal
     else:
         surfaces[0].check_not_folded(pairing.name)
         rows = np.searchsorted(surfaces[0].nodes, pairing.surface.nodes)
@@ -139,7 +148,7 @@ def _deformed_pairs(
 
 
 def _deformed_mortar(
-    contact: ContactPair, pairing: ContactPairing, boundary: MeshBoundary
+    contact: ContactPair, pairing: ContactPairing, user_normal: Vector, boundary: MeshBoundary
 ) -> DeformedContact:
     name, prescribed = pairing.name, pairing.prescribed
     surface, tagged_master = (surface.on(boundary) for surface in pairing.surfaces)
@@ -151,7 +160,7 @@ def _deformed_mortar(
             surface = _with_normals(surface, slave)
         master.check_not_folded(name)
     if contact.normal is not None:
-        surface = replace(surface, normal=_turned_normals(pairing.surface, boundary))
+        surface = replace(surface, normal=user_normal)
     shared = np.intersect1d(slave.nodes, master.nodes)
     given = contact.normal is not None
     conditions = mortar_conditions(surface, master, shared, prescribed, pairing.slave, given)
@@ -178,12 +187,6 @@ def _deformed_mortar(
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
     return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
-
-
-def _turned_normals(surface: Surface, boundary: MeshBoundary) -> Vector:
-    """Return the user's normals (k, gdim) turned with the facets around the nodes. Collective."""
-    rotations = SurfaceRotations.of(surface, boundary)
-    return rotations.turned(surface.normal, np.arange(len(surface.normal)))
 
 
 def _with_normals(surface: Surface, facets: SurfaceFacets) -> Surface:

@@ -48,8 +48,8 @@ class ContactPair(SurfacePair):
         (< 0) at the slave's nodes [m].
     normal : (gdim,) array-like or callable, optional
         Outward normals of the slave, of any length; a callable gets x (3, n) and returns (gdim, n).
-        By default the mean of the facets' normals at each node. Where contact is that of deformed
-        surfaces, they turn with the facets.
+        By default the mean of the facets' normals at each node. At finite strains they turn with
+        the facets; with small strains they are kept.
     partial : bool
         Whether nodes that belong to slave and master, and slave nodes without partner, stay free
         instead of being an error. Mortar conditions leave slave nodes free in any case that the

@@ -62,7 +62,7 @@ class SurfaceRotations:
             R, row, corners, turned, np.linalg.pinv(inertia, rcond=1e-12, hermitian=True)
         )
 
-    def turned(self, vectors: Vector, positions: Numbers) -> Vector:
+    def turned(self, vectors: Vector, positions: Numbers | slice = slice(None)) -> Vector:
         """Return vectors (q, gdim) as they are after the rotation at nodes (q,) by position."""
         return np.einsum("qab,qb->qa", self.R[positions], vectors)
 
