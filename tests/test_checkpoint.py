@@ -168,12 +168,12 @@ def test_last_iterate_of_a_limit_is_no_finished_step(path):
     problem.solve(checkpoint=path)
     kept = path.read_bytes()
     problem.geometry = replace(problem.geometry, max_passes=1)
-    disc.height = HEIGHTS[0]
+    disc.height = HEIGHTS[-1] + 0.02
     with pytest.raises(NotConverged):
         problem.solve(checkpoint=path)
     assert path.read_bytes() == kept
     # nor does the next solve count the passes of one that failed
-    problem.geometry, disc.height = replace(problem.geometry, max_passes=2), HEIGHTS[-1]
+    problem.geometry, disc.height = replace(problem.geometry, max_passes=2), HEIGHTS[-1] + 0.01
     with pytest.raises(NotConverged):
         problem.solve()
     failed = problem.report.passes

@@ -243,7 +243,7 @@ def test_states_that_have_not_converged_are_not_accepted(kind):
 
 
 @pytest.mark.ranks
-@pytest.mark.parametrize(("calls", "reason"), [(99, "newton_max_it"), (3, "cannot go on")])
+@pytest.mark.parametrize(("calls", "reason"), [(99, "newton_max_it"), (8, "cannot go on")])
 def test_last_iterate_of_newtons_method(calls, reason):
     """Openings of the results are distances of the plane from where u is."""
     block, evaluated = PressedBlock("nonlinear"), []

@@ -284,7 +284,8 @@ class ContactSet:
         that at the conditions before, see `with_friction`.
         """
         bodies, contacts = bodies or self.bodies, []
-        pairings = (last or self).pairings
+        known = {found.key: found.pairing for found in (last or self).contacts}
+        pairings = [known[found.key] for found in self.contacts]
         at_bodies = [found.contact_at(bodies) for found in self.contacts]
         # rows of small strains act on undeformed bodies, which given normals leave free to turn
         is_finite = bodies.from_here

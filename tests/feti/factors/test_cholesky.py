@@ -174,7 +174,9 @@ def test_quick_factor_of_a_large_matrix_has_another_ordering():
     best, quick = sparse_cholesky(A, "cholmod"), sparse_cholesky(A, "cholmod", quick=True)
     assert best.entries < quick.entries < 1.5 * best.entries
     solution = best.solve(b)
-    np.testing.assert_allclose(quick.solve(b), solution, rtol=0, atol=1e-12 * np.abs(solution).max())
+    np.testing.assert_allclose(
+        quick.solve(b), solution, rtol=0, atol=1e-12 * np.abs(solution).max()
+    )
 
 
 def indefinite(negative: int) -> sp.csr_matrix:
