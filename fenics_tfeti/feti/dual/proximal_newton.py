@@ -121,7 +121,8 @@ def _solve_proximal(
         )
         state = _on_the_way(problem, face, bounds, term, state, following, turn.products)
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
-        turn.monitor(_step(problem, face, contact_state, state, turn.products))
+        following_set = bounds.linear_part(term, state)
+        turn.monitor(_step(problem, contact_state, following_set, state, turn.products))
         unused = unused_friction(problem, face, replace(state, multipliers=wanted))
         residuals = (state.energy, error / np.sqrt(term.stiffness), unused)
         solved = all(residual <= turn.tolerance for residual in residuals)
@@ -256,14 +257,16 @@ def _root(slope: Callable[[float], float]) -> float:
 
 def _step(
     problem: DualProblem,
-    face: Face,
-    contact_state: ContactState,
+    before: ContactState,
+    after: ContactState,
     state: PCPGIterate,
     products: Products,
 ) -> ActiveSetStep:
-    """Return what the monitor is told. Collective."""
-    owned = problem.constraints.owned_inequalities
-    active = face.contact_state.active
-    counts = [np.count_nonzero(x[:owned]) for x in (active, active != contact_state.active)]
-    active_rows, changed = problem.space.sums(*(float(n) for n in counts))
-    return ActiveSetStep(products.total, state.residual, int(active_rows), int(changed))
+    """Return what the monitor is told of a step between two sets. Collective."""
+    constraints = problem.constraints
+    owned, mine = constraints.owned_inequalities, constraints.owned_sites
+    changed = np.count_nonzero((after.active != before.active)[:owned])
+    changed += np.count_nonzero((after.sticking != before.sticking)[mine])
+    active = np.count_nonzero(after.active[:owned])
+    active, changed = (int(n) for n in problem.space.sums(float(active), float(changed)))
+    return ActiveSetStep(products.total, state.residual, active, changed)
