@@ -1,10 +1,12 @@
 """Products with F that friction takes, beside the same problem without friction.
 
-    python benchmarks/run.py friction [--scene cubes|plate|belt] [--divisions 4 8 12]
+    python benchmarks/run.py friction [--scene cubes|plate|belt|grains|packing] [--divisions 4 8 12]
 
 A cube is pressed and pushed on another one by moving its top; each is cut into blocks of equal
 size, so that H/h stays while h falls. A plate on a rigid plane is pulled at one end. A belt,
-divided once across, is pulled over a drum.
+divided once across, is pulled over a drum. Irregular grains in a box are pressed by a piston, and
+discs with radii that differ by up to a ten-thousandth lie in one; divisions are the number of
+grains and that of discs in a row.
 """
 
 from __future__ import annotations
@@ -13,13 +15,14 @@ from mpi4py import MPI
 
 import numpy as np
 from friction_scenes import belt, pulled_plate
+from granular import grains, packing
 from scenes import Scene, at
 
 import ufl
 
 from fenics_tfeti import Coulomb, Tresca
 
-# laws of each scene and divisions; the belt's are coefficients
+# laws of each scene and divisions; those of belt, grains and packing are coefficients
 SCENES = {
     "cubes": (
         {
@@ -42,6 +45,11 @@ SCENES = {
         [4, 8, 12],
     ),
     "belt": ({"none": None, "Coulomb 0.3": 0.3, "Coulomb 0.6": 0.6}, [60]),
+    "grains": (
+        {"none": None, "Coulomb 0.2": 0.2, "Coulomb 0.3": 0.3, "Coulomb 0.5": 0.5},
+        [12, 25, 50],
+    ),
+    "packing": ({"none": None, "Coulomb 0.1": 0.1, "Coulomb 0.3": 0.3, "Coulomb 0.6": 0.6}, [3, 6]),
 }
 
 
@@ -49,6 +57,10 @@ def problem_of(scene, n, law):
     """Return the problem of a scene with its own tolerance."""
     if scene == "cubes":
         return cubes(n, law, (0.01, 0.003, -0.02))
+    if scene == "grains":
+        return grains(n, 0.3 / np.sqrt(n), law, MPI.COMM_WORLD)
+    if scene == "packing":
+        return packing(n, n, 1e-4, law, MPI.COMM_WORLD)
     return pulled_plate(law, n) if scene == "plate" else belt(n, law).problem
 
 

@@ -55,8 +55,23 @@ class Method(Enum):
     """The methods for the dual problem, in the order in which they take turns."""
 
     ACTIVE_SET = "active_set"
+    GRADIENTS = "gradients"
     NEWTON = "newton"
     SMALBE = "smalbe"
+
+
+@dataclass(frozen=True)
+class GradientState:
+    """State of projected gradients between two steps; points have their products with F."""
+
+    l: Vector  # (m,)
+    Fl: Vector
+    y: Vector  # l and its momentum
+    Fy: Vector
+    theta: float  # of the momentum
+    curvature: float  # 1 / tau [m/N]
+    radius: Vector  # (k,): r
+    motion: Vector  # of the last projection
 
 
 @dataclass(frozen=True)
@@ -69,6 +84,8 @@ class Iterate:
     on_face: PCPGIterate | None = None  # iterate on a face, with these multipliers
     newton: PCPGIterate | None = None  # last iterate of Newton's method, with its proximal term
     smalbe: SMALBEState | None = None
+    gradients: GradientState | None = None
+    radius: Vector | None = None  # (k,): slip bounds that have followed the forces
     # (i,): set to start from; None for the rows with positive multipliers
     active: Mask | None = None
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
@@ -82,7 +99,7 @@ class Iterate:
         Rounding has added up in the recurrences of its residual.
         """
         active = self.active if self.on_face is None else self.on_face.contact_state.active
-        return replace(self, on_face=None, active=active, slips=slips)
+        return replace(self, on_face=None, gradients=None, active=active, slips=slips)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,9 @@ lambda   solution with the bounds r (Tresca), to a tolerance that follows the ch
 r        bound + coefficient * lambda_N
 stop     when the forces fulfil the law with the bounds that they make themselves
 
+Where several loose bodies hold each other the bounds follow the forces within a solution, by
+projected gradients; the fixed point goes on from there.
+
 The map contracts where the coefficient is small enough. Where it does not, the iterations end with
 the ratio of their changes.
 """
@@ -87,6 +90,7 @@ class _FixedPoint:
     changes: list[float] = field(default_factory=list)  # errors of the steps so far
     residual: Vector | None = None  # (k,) change of the bounds that the last step asked for
     length: float = 1.0  # the part of it that was taken
+    follows: bool = False  # whether the bounds follow the forces within a step
 
     @staticmethod
     def start(
@@ -94,8 +98,9 @@ class _FixedPoint:
     ) -> _FixedPoint:
         """Return the first step, with bounds that can hold the load. Collective."""
         friction, comm = context.setup.constraints.friction, context.setup.constraints.layout.comm
-        rtol = max(context.options.rtol, _FIRST_RTOL)
-        fixed_point = _FixedPoint(context, balance, iterate, rtol)
+        follows = _follows(context)
+        rtol = context.options.rtol if follows else max(context.options.rtol, _FIRST_RTOL)
+        fixed_point = _FixedPoint(context, balance, iterate, rtol, follows=follows)
         if iterate is not None and fixed_point._hold(fixed_point._bounds(iterate.multipliers)):
             # a looser solution may be farther away than the start, that of a short time step
             fixed_point.rtol = context.options.rtol
@@ -114,7 +119,13 @@ class _FixedPoint:
         context, products = self.context, self.context.monitor.history.products
         before = products.total
         inner = replace(context, options=replace(context.options, rtol=self.rtol))
-        outcome = iterate_until_certified(inner, self.iterate)
+        outcome = iterate_until_certified(
+            inner, self.iterate, self._bounds if self.follows else None
+        )
+        # another method has gone on from where projected gradients made no progress
+        self.follows = self.follows and outcome.iterate.radius is not None
+        data = replace(context.data, radius=outcome.candidate.radius)
+        self.context = replace(context, data=data)
         radius = self._bounds(outcome.candidate.multipliers)
         change = self._error(outcome.candidate, radius)
         ratio = change / self.changes[-1] if self.changes and self.changes[-1] > 0.0 else None
@@ -220,6 +231,19 @@ class _FixedPoint:
         constraints = self.context.setup.constraints
         owned = constraints.owned_sites
         return float(constraints.layout.comm.allreduce(float(x[owned] @ y[owned])))
+
+
+def _follows(context: SolveContext) -> bool:
+    """Tell whether several loose bodies hold each other: active sets are often mechanisms then.
+
+    That is so where bounds are intervals: projections on discs in the metric of rows that nearly
+    depend on each other take too many steps.
+    """
+    if context.setup.constraints.friction.curved:
+        return False
+    coarse_space = context.setup.projector.coarse_space
+    loose = np.unique(coarse_space.softly_supported()[0].nonzero()[0] // coarse_space.bodies.modes)
+    return context.options.method == "active_set" and loose.size > 1
 
 
 def _failure(changes: Sequence[float]) -> str:

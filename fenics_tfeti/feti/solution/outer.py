@@ -2,7 +2,8 @@
 
 repeat
 lambda   by the primal-dual active set method, Newton's method on proximal problems, or SMALBE-M
-         on (11.40): they take turns where one makes no progress
+         on (11.40): they take turns where one makes no progress; by projected gradients first where
+         the slip bounds follow the forces
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -10,8 +11,9 @@ eps      is reduced by what the certificate lacks
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import count
 
 from mpi4py import MPI
@@ -25,6 +27,7 @@ from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.dual.projected_gradients import projected_gradients
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
@@ -48,12 +51,23 @@ from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
+# the order in which the methods take turns; bounds that follow the forces come first
+_TURNS = [Method.ACTIVE_SET, Method.NEWTON, Method.SMALBE]
+_FOLLOWING_TURNS = [Method.GRADIENTS, *_TURNS]
 # products of a turn after the first one, in the first round; doubled in each round
 _SHARE = 2000
 
 
-def iterate_until_certified(context: SolveContext, start: Iterate | None) -> Outcome:
+Bounds = Callable[[Vector], Vector]
+
+
+def iterate_until_certified(
+    context: SolveContext, start: Iterate | None, bounds: Bounds | None = None
+) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
+
+    With `bounds`, the slip bounds (k,) that multipliers make, projected gradients go first, whose
+    bounds follow the forces.
 
     Rigid motions that supports prescribe are taken out, and put back in the end. Gaps that are far
     from closing are shortened: all contact rows share the projector, so a gap out of all proportion
@@ -73,7 +87,7 @@ def iterate_until_certified(context: SolveContext, start: Iterate | None) -> Out
         shortened = (data.c[rows] > longest) & (longest > 0.0)
         c = data.c.copy()
         c[rows] = np.where(shortened, longest, data.c[rows])
-        loop = _Loop.begin(replace(context, data=replace(data, c=c)), shortened, feasible)
+        loop = _Loop.begin(replace(context, data=replace(data, c=c)), shortened, feasible, bounds)
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & shortened).any())
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
@@ -114,7 +128,7 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
     while True:
         tolerance = max(tolerance, progress.rounding)
         iterate = loop.minimise(iterate, tolerance)
-        candidate = loop.recover(iterate.multipliers)
+        candidate = loop.recover(iterate)
         certificate = candidate.certificate
         if certificate.worst <= limit:
             return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
@@ -172,7 +186,7 @@ class _Best:
         """Return it as not converged, with its displacements; `status` is what ended the loop."""
         assert self.iterate is not None
         options = loop.context.options
-        candidate = last if self.is_last else loop.recover(self.iterate.multipliers)
+        candidate = last if self.is_last else loop.recover(self.iterate)
         reached = "the contact forces do not balance the load"
         if np.isfinite(self.worst):
             reached = f"its certificate has reached {self.worst:.1e} ({self.name})"
@@ -193,14 +207,20 @@ class _Loop:
     d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
     scale: EnergyScale  # the tolerances are relative to it
     outer_before: int  # outer iterations of SMALBE-M before this loop
+    bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
 
     @staticmethod
-    def begin(context: SolveContext, shortened: Mask, feasible: FeasibleState) -> _Loop:
+    def begin(
+        context: SolveContext,
+        shortened: Mask,
+        feasible: FeasibleState,
+        bounds: Bounds | None = None,
+    ) -> _Loop:
         """Compute d_0 and the scale."""
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
         before = len(context.monitor.history.outer)
-        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before)
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before, bounds)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -218,6 +238,8 @@ class _Loop:
     def first(self, start: Iterate | None) -> Iterate:
         """Return the start, or multipliers that vanish: no contact, nothing glued."""
         method = Method(self.context.options.method)
+        if self.bounds is not None:
+            method = Method.GRADIENTS
         # where nothing moves, other multipliers would leave displacements of rounding size
         if start is None or self.scale.energy_norm == 0.0:
             return Iterate(np.zeros_like(self.d_0), method)
@@ -225,7 +247,8 @@ class _Loop:
 
     def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
         """Solve the dual problem: the methods take turns, first the one of the iterate."""
-        methods, flat = list(Method), self.context.setup.deflation is None
+        flat = self.context.setup.deflation is None
+        methods = _TURNS if self.bounds is None else _FOLLOWING_TURNS
         first = methods.index(iterate.method)
         for number in count():
             method = methods[(first + number) % len(methods)]
@@ -247,7 +270,7 @@ class _Loop:
         options, monitor = self.context.options, self.context.monitor
         history = monitor.history
         limit, factor = options.max_products, 2**round_number
-        if number:
+        if number or self.bounds is not None:
             limit = min(limit, history.products.total + _SHARE * factor)
         return Turn(
             tolerance,
@@ -261,15 +284,19 @@ class _Loop:
 
     def _run(self, method: Method, iterate: Iterate, turn: Turn) -> Iterate:
         """Run a method for its turn."""
+        if method is not Method.GRADIENTS:
+            # the other methods take the bounds of the problem
+            iterate = replace(iterate, radius=None)
         by_smalbe = method is Method.SMALBE
         problem = self.problem(LANCZOS_STEPS if by_smalbe else ROUGH_LANCZOS_STEPS)
-        run = {
+        run: dict[Method, Callable[[DualProblem, Iterate, Turn], Iterate]] = {
             Method.ACTIVE_SET: primal_dual_active_set,
+            Method.GRADIENTS: partial(projected_gradients, bounds=self.bounds),
             Method.NEWTON: proximal_newton,
             Method.SMALBE: solve_by_smalbe,
-        }[method]
+        }
         with self.context.timer.phase("iterations"):
-            iterate = run(problem, iterate, turn)
+            iterate = run[method](problem, iterate, turn)
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
         if iterate.status is SolveStatus.SOLVED:
             return iterate
@@ -279,8 +306,11 @@ class _Loop:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
 
-    def recover(self, multipliers: Vector) -> Candidate:
+    def recover(self, iterate: Iterate) -> Candidate:
         """Recover displacements, and measure how well they and lambda solve (11.21)."""
+        if iterate.radius is not None and iterate.radius is not self.context.data.radius:
+            return self._with_radius(iterate.radius).recover(iterate)
+        multipliers = iterate.multipliers
         setup, data = self.context.setup, self.context.data
         constraints = setup.constraints
         feasible = constraints.friction.multiplier_set(
@@ -299,6 +329,12 @@ class _Loop:
                 setup.F, face, data.load, data.c, multipliers, setup.local.unit
             )
             return self._certified(recovered, multipliers, face)
+
+    def _with_radius(self, radius: Vector) -> _Loop:
+        """Return the loop with other slip bounds."""
+        context = replace(self.context, data=replace(self.context.data, radius=radius))
+        primal = PrimalProblem(context.setup, context.data, context.body_names)
+        return replace(self, context=context, primal=primal)
 
     def _certified(self, recovered: Recovered, multipliers: Vector, face: Projector) -> Candidate:
         """Measure how well displacements and multipliers solve (11.21)."""

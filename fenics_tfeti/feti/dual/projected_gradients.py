@@ -1,0 +1,175 @@
+"""Accelerated projected gradients for the dual problem (11.36) with friction and loose bodies.
+
+repeat
+l    the point with Gl = e and the bounds that is nearest to y - tau (Fy - d): `ExactProjection`
+r    half of the way to the bounds that the normal forces of l make
+y    l and its momentum, restarted where the cost rises
+
+No active set is solved for, so none can be a mechanism: bodies that only contact and friction hold
+are balanced in each step. With Coulomb's law the bounds r follow the forces at once. Where bounds
+cannot hold the load, none of them is reduced. The step tau is that of a few Lanczos steps, and is
+shortened where the curvature of a step is larger.
+
+After Beck, Teboulle, SIAM J. Imaging Sci. 2 (2009) 183-202, and O'Donoghue, Candes, Found. Comput.
+Math. 15 (2015) 715-732.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.coarse.exact_projection import ExactProjection, GramMetric
+from fenics_tfeti.feti.dual.iterate import (
+    ActiveSetStep,
+    GradientState,
+    Iterate,
+    Method,
+    SolveStatus,
+    Turn,
+)
+from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.typing import Mask, Vector
+
+# part of the way to the bounds that the forces make. At 1 they cycle with a coefficient of 0.6
+_RELAXED = 0.5
+# curvature relative to 1 / tau that is too large, and the excess with which tau is shortened
+_TOO_LARGE, _EXCESS = 1.001, 1.1
+# steps after which the monitor is told
+_TOLD = 10
+
+
+def projected_gradients(
+    problem: DualProblem,
+    start: Iterate,
+    turn: Turn,
+    bounds: Callable[[Vector], Vector] | None = None,
+) -> Iterate:
+    """Run projected gradients until the residual and the change of the bounds are small.
+
+    `bounds` returns the slip bounds (k,) that multipliers (m,) make; without it they are those of
+    the problem. The iterate has the bounds that it was found with. It is STALLED where the bounds
+    cannot hold the load, or the share of the products is spent.
+    """
+    method = _Method(problem, turn, bounds)
+    state, status = method.first(start), None
+    while status is None:
+        state, status = method.step(state)
+    return replace(
+        start,
+        multipliers=state.l,
+        method=Method.GRADIENTS,
+        status=status,
+        on_face=None,
+        radius=state.radius,
+        gradients=state,
+    )
+
+
+class _Method:
+    """The steps of the method on one problem."""
+
+    def __init__(
+        self, problem: DualProblem, turn: Turn, bounds: Callable[[Vector], Vector] | None
+    ) -> None:
+        self.problem, self.turn, self.bounds = problem, turn, bounds
+        self.metric = GramMetric.build(problem.constraints)
+        self.project = ExactProjection(problem.coarse_space, problem.e, self.metric)
+        self.steps, self.told = 0, self._set_of(problem.feasible, problem.radius)
+
+    def first(self, start: Iterate) -> GradientState:
+        """Return the last state, or the feasible multipliers nearest to those of the start."""
+        if start.gradients is not None:
+            self.told = self._set_of(start.gradients.l, start.gradients.radius)
+            return start.gradients
+        problem = self.problem
+        radius = problem.radius if start.radius is None else start.radius
+        some = problem.space.norm(start.multipliers) > 0.0
+        l = self.project(self.metric(start.multipliers if some else problem.feasible), radius)
+        Fl = self._product(l)
+        return GradientState(l, Fl, l, Fl, 1.0, problem.norm, radius, self.project.motion)
+
+    def step(self, state: GradientState) -> tuple[GradientState, SolveStatus | None]:
+        """Take a step, and tell how the method ends with it. Collective."""
+        problem, turn = self.problem, self.turn
+        found = self._projected(state)
+        if found is None or interruption.agreed():
+            return state, SolveStatus.STALLED
+        l, radius = found
+        Fl = self._product(l)
+        way, change = l - state.y, l - state.l
+        Hway = self.metric(way)
+        size2, curvature, turned, energy2 = problem.space.dots(
+            (way, Hway), (way, Fl - state.Fy), (Hway, change), (l, Fl)
+        )
+        residual = float(np.sqrt(max(state.curvature * size2, 0.0)))
+        steepest = state.curvature
+        if curvature > _TOO_LARGE * steepest * size2:
+            steepest = _EXCESS * curvature / size2
+        if turned < 0.0:
+            theta, y, Fy = 1.0, l, Fl
+        else:
+            theta = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * state.theta**2))
+            momentum = (state.theta - 1.0) / theta
+            y, Fy = l + momentum * change, Fl + momentum * (Fl - state.Fl)
+        wanted = radius if self.bounds is None else self.bounds(l)
+        error = self._bounds_error(wanted, radius)
+        accurate = residual <= turn.tolerance and error * np.sqrt(energy2) <= turn.tolerance
+        following = radius + _RELAXED * (wanted - radius)
+        # no parts of bounds where nothing presses any more
+        following[wanted == 0.0] = 0.0
+        following = radius if accurate else following
+        state = GradientState(l, Fl, y, Fy, theta, steepest, following, self.project.motion)
+        self.steps += 1
+        if accurate or self.steps % _TOLD == 0:
+            self._tell(l, radius, residual)
+        if accurate:
+            return state, SolveStatus.SOLVED
+        return state, SolveStatus.STALLED if turn.is_spent else None
+
+    def _projected(self, state: GradientState) -> tuple[Vector, Vector] | None:
+        """Return the next multipliers and bounds with which they exist. Collective."""
+        b = self.metric(state.y) - (state.Fy - self.problem.d) / state.curvature
+        force = np.linalg.norm(self.problem.constraints.friction.at_sites(state.l), axis=1)
+        # the last multipliers are feasible with the bounds that were not reduced below their forces
+        for radius in (state.radius, np.maximum(state.radius, force)):
+            self.project.motion = state.motion
+            l = self.project(b, radius)
+            if self.project.balanced:
+                return l, radius
+        return None
+
+    def _product(self, x: Vector) -> Vector:
+        """Return Fx, counted. Collective."""
+        self.turn.products.cg += 1
+        return self.problem.constraints.layout.sum(self.problem.F(x))
+
+    def _bounds_error(self, wanted: Vector, radius: Vector) -> float:
+        """Return the difference of bounds relative to those that the forces make. Collective."""
+        constraints = self.problem.constraints
+        mine, scale = constraints.owned_sites, constraints.friction.scale
+        change, size = (scale * x for x in (wanted - radius, wanted))
+        squares = self.problem.space.sums(*(float(x[mine] @ x[mine]) for x in (change, size)))
+        return float(np.sqrt(squares[0] / (squares[1] or 1.0)))
+
+    def _set_of(self, l: Vector, radius: Vector) -> tuple[Mask, Mask]:
+        """Return which contact rows press and which sites stick."""
+        constraints = self.problem.constraints
+        force = np.linalg.norm(constraints.friction.at_sites(l), axis=1)
+        return l[constraints.inequality] > 0.0, force < radius
+
+    def _tell(self, l: Vector, radius: Vector, residual: float) -> None:
+        """Tell the monitor of the rows and sites that have changed. Collective."""
+        constraints, before = self.problem.constraints, self.told
+        self.told = self._set_of(l, radius)
+        owned = constraints.owned_inequalities
+        changed = np.count_nonzero((self.told[0] != before[0])[:owned])
+        changed += np.count_nonzero((self.told[1] != before[1])[constraints.owned_sites])
+        active = np.count_nonzero(self.told[0][:owned])
+        active, changed = (int(n) for n in self.problem.space.sums(float(active), float(changed)))
+        # in metres, as that of a face
+        length = residual * float(np.sqrt(self.problem.norm))
+        self.turn.monitor(ActiveSetStep(self.turn.products.total, length, active, changed))

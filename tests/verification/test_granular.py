@@ -1,0 +1,54 @@
+"""Coulomb's law on bodies that contact and friction alone hold."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from granular import grains, packing
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import ContactProblem
+
+WEIGHT = {"grains": 2600.0 * 9.81, "packing": 1.0}
+
+SCENES = {
+    "grains": (lambda comm, **o: grains(12, 0.1, 0.3, comm, **o), 150),
+    "grains that slip": (lambda comm, **o: grains(12, 0.1, 0.2, comm, **o), 170),
+    "packing": (lambda comm, **o: packing(2, 3, 1e-3, 0.6, comm, **o), 80),
+    "regular packing": (lambda comm, **o: packing(3, 2, 0.0, 0.3, comm, **o), 80),
+}
+
+
+def volume(problem: ContactProblem) -> float:
+    mesh = problem.u.function_space.mesh
+    one = fem.Constant(mesh, 1.0)
+    return float(mesh.comm.allreduce(fem.assemble_scalar(fem.form(one * ufl.dx))))
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("name", SCENES)
+def test_certified_in_few_products_and_in_balance(name):
+    scene, products = SCENES[name]
+    problem = scene(MPI.COMM_WORLD)
+    problem.solve()
+    report = problem.report
+    assert report.certificate.worst <= 1e-6
+    # on several ranks bodies are cut
+    if MPI.COMM_WORLD.size == 1:
+        assert report.products["total"] <= products
+    walls = [c.force for c in report.contacts if " on " not in c.name]
+    weight = WEIGHT[name.split()[-1] if "packing" in name else "grains"] * volume(problem)
+    total = np.sum(walls, axis=0)
+    size = np.sum([np.linalg.norm(force) for force in walls])
+    np.testing.assert_allclose(np.abs(total), [0.0, weight], atol=1e-5 * size)
+
+
+def test_displacement_is_that_of_the_fixed_point():
+    """A packing that the active set method solves, too."""
+    found = packing(2, 2, 0.0, 0.3)
+    expected = packing(2, 2, 0.0, 0.3, method="smalbe")
+    u, v = found.solve().x.array, expected.solve().x.array
+    assert len(expected.report.slip_bounds) > 1 == len(found.report.slip_bounds)
+    np.testing.assert_allclose(u, v, atol=1e-4 * np.abs(v).max())
