@@ -52,3 +52,10 @@ def test_displacement_is_that_of_the_fixed_point():
     u, v = found.solve().x.array, expected.solve().x.array
     assert len(expected.report.slip_bounds) > 1 == len(found.report.slip_bounds)
     np.testing.assert_allclose(u, v, atol=1e-4 * np.abs(v).max())
+
+
+def test_next_step_with_the_same_load_slips_no_further():
+    problem = packing(2, 3, 1e-3, 0.3)
+    first = problem.solve().x.array.copy()
+    problem.advance()
+    np.testing.assert_allclose(problem.solve().x.array, first, atol=1e-6 * np.abs(first).max())
