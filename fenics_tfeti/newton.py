@@ -35,7 +35,7 @@ Monitor = Callable[[Any], None]
 # residual below which steps are mixed: farther off, mixing has led beams astray
 _MIXED_BELOW = 0.05
 # accuracy of the linearised problem of a step with friction, relative to the error before
-_FORCING = 0.03
+_FORCING = 0.1
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 
