@@ -59,7 +59,7 @@ class FoundContact:
 
     @property
     def key(self) -> str:
-        """What the part of the contact is known by from step to step and in files."""
+        """The key of the part of the contact, from step to step and in files."""
         return self.contact_key + (f", part {self.part + 1}" if self.part else "")
 
     @property
