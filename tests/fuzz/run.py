@@ -113,7 +113,7 @@ class _Workers:
         for line in self._lines():
             self._heard = time.monotonic()
             if "seed" in line:
-                self.results.append(line)
+                self._add(line)
                 self.next, self.left = line["seed"] + self.stride, self.left - 1
         if self.left == 0:
             self._end()
@@ -125,13 +125,17 @@ class _Workers:
         kind = "traceback" if ended else "hang"
         tail = self.errors.read_text(errors="replace")[-3000:]
         tail = f"the process ended with {self.process.returncode}: {tail}" if ended else tail
-        self.results.append(
-            {"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0}
-        )
+        self._add({"seed": self.next, "kind": kind, "detail": tail, "numbers": {}, "seconds": 0.0})
         self.next, self.left = self.next + self.stride, self.left - 1
         if self.left:
             self.start()
         return self.left > 0
+
+    def _add(self, result: dict[str, Any]) -> None:
+        self.results.append(result)
+        if self.arguments.json:
+            with open(self.arguments.json, "a") as file:
+                print(json.dumps(result), file=file)
 
     def _end(self) -> None:
         """Wait for the process, which is about to end or is to be ended."""
@@ -204,7 +208,7 @@ def main() -> int:
     parser.add_argument("--ranks", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--timeout", type=float, default=60.0, help="seconds for one case")
-    parser.add_argument("--json", help="write all results here")
+    parser.add_argument("--json", help="write each result here as it comes")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--stride", type=int, default=1, help=argparse.SUPPRESS)
     parser.add_argument("--output", help=argparse.SUPPRESS)
@@ -224,9 +228,9 @@ def main() -> int:
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: sys.exit("ended by a signal"))
     start = time.monotonic()
-    results = run(arguments)
     if arguments.json:
-        Path(arguments.json).write_text("\n".join(json.dumps(line) for line in results))
+        Path(arguments.json).unlink(missing_ok=True)
+    results = run(arguments)
     print(table(results, CLASSES))
     print(f"{len(results)} cases, {time.monotonic() - start:.0f} s")
     bad = [line for line in results if line["kind"] in FAILURES]
