@@ -76,7 +76,7 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
         Where exact tangents are taken: in bodies that prescribed displacements and tied rows hold
         against all rotations, in all bodies, or in none. With "auto" subdomains with elastic
         supports have exact tangents, too. Rotations that hardly cost anything are projected in any
-        case.
+        case. Rigid bodies and their springs, which have no stress, stay as they are.
 
     Returns
     -------
@@ -89,11 +89,13 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     held = _held_bodies(system, centres, sizes)
     exact = held if kind == "auto" else np.full_like(held, kind == "exact")
     subdomains = list(system.subdomains)
+    # bodies without stress, whose springs are elastic supports
+    rigid = [s.body for s in subdomains if s.is_rigid]
     with raise_collectively(system.comm):
         for congruent in find_congruence_classes(subdomains):
             # congruent ones of different bodies
-            members = congruent.members
-            bodies = np.array([subdomains[i].body for i in members])
+            bodies = np.array([subdomains[i].body for i in congruent.members])
+            members, bodies = (a[~np.isin(bodies, rigid)] for a in (congruent.members, bodies))
             for some in (members[held[bodies]], members[~held[bodies]]):
                 if some.size:
                     first = subdomains[some[0]]
@@ -115,8 +117,6 @@ def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
             "the tangent is NaN or infinite in the subdomain around "
             f"{format_point(subdomain.coordinates.mean(axis=0))}: is the energy smooth there?"
         )
-    if subdomain.is_rigid:
-        return subdomain
     stressed = replace(subdomain, kernel="translations")
     translations, rotations = translations_and_rotations(x)
     energies = np.abs(translations.T @ (K @ translations))
@@ -150,7 +150,7 @@ def _damped(chosen: Subdomain, K: sp.csr_matrix, size: float) -> Subdomain:
     R = raw_modes((x - x.mean(axis=0)) / size, np.zeros(gdim))
     energies = np.abs(np.sum(R * (K @ R), axis=0))
     none = rounding(np.abs(K.data).max(initial=0.0), ENERGY) * len(x)
-    if chosen.is_rigid or energies[:gdim].max() > none or energies[gdim:].max() <= none:
+    if energies[:gdim].max() > none or energies[gdim:].max() <= none:
         return chosen
     s = energies[gdim:].max() / len(x)
     return replace(chosen, stiffness=(chosen.stiffness + s * sp.identity(len(R))).tocsr())

@@ -111,8 +111,9 @@ class Laws:
     def _out_of_balance(self) -> float:
         """Return the largest force at nodes, or of groups of bodies, that nothing balances.
 
-        The forces of pairs at single nodes of the master are not known, only their sums. Their
-        rows, and those of mortar slaves, are in the groups of bodies that a pair joins.
+        The forces of pairs at single nodes of the master are not known, only their sums, and
+        neither are those of conditions of degree 2 on obstacles. Such nodes are in the groups of
+        bodies that a pair joins.
         """
         fixed = np.zeros((self.owned, self.gdim), dtype=bool)
         for bc in self.posed.bcs:
@@ -128,16 +129,19 @@ class Laws:
         for contact, result, force in zip(
             self.problem.contacts, self.results, self.forces, strict=True
         ):
-            if isinstance(contact, RigidObstacle):
+            of_obstacle = isinstance(contact, RigidObstacle)
+            if of_obstacle and self.posed.degree == 1:
                 rest -= force
                 continue
-            sides = [self.posed.nodes_on(contact.slave), self.posed.nodes_on(contact.master)]
-            is_pair |= sides[0] | sides[1]
-            slave, master = np.asarray(result.entry.force), np.asarray(result.entry.force_on_master)
-            for side, total in zip(sides, (slave, master), strict=True):
+            surfaces = [(contact.slave, result.entry.force)]
+            if not of_obstacle:
+                surfaces.append((contact.master, result.entry.force_on_master))
+            for tag, total in surfaces:
+                side = self.posed.nodes_on(tag)
+                is_pair |= side
                 there = np.unique(np.concatenate(self.comm.allgather(body[side])))
                 group[np.isin(group, group[there])] = group[there].min()
-                sums[there[0]] += total
+                sums[there[0]] += np.asarray(total)
         rest[fixed | np.isin(body, list(self.posed.rigid))[:, None]] = 0.0
         off = self.posed.largest(rest[~is_pair])
         totals = np.zeros_like(sums)
@@ -261,6 +265,11 @@ class Laws:
             places = self.x[:, : self.gdim] - body.point
             if self.posed.method != "linear":
                 places = places + self.u - np.asarray(result.translation)
+            elif isinstance(contact, RigidObstacle):
+                # forces act on the obstacle's surface, which is a gap away
+                gap, normal = (np.asarray(part) for part in contact.obstacle(self.x.T))
+                away = np.where(np.isfinite(gap), gap, 0.0) * normal[: self.gdim]
+                places = places - away.T
             size += float(np.linalg.norm(of_nodes, axis=1).sum())
             force -= of_nodes.sum(axis=0)
             moment -= (
@@ -272,7 +281,8 @@ class Laws:
         motion = np.append(result.translation, result.rotation)
         total = total - body.stiffness @ motion
         size = self.comm.allreduce(size) + float(np.linalg.norm(body.load[: self.gdim]))
-        scale = np.full(body.modes, size)
+        # of a body that nothing touches there is rounding alone
+        scale = np.full(body.modes, max(size, 1e-6 * self.force))
         scale[self.gdim :] *= self.extent
         free = body.is_free
         return float(np.abs(total / (self.allowed * scale + 1e-300))[free].max(initial=0.0))

@@ -190,8 +190,7 @@ def _compare_solution(problem: GluedProblem, answer: Answer, found: Found, rtol:
     floor = floor + 1e-15 * motion + 1e-12 * load
     # the package calls strains rounding up to this part of motions and loads
     none, strain = UNDEFORMED * (motion + load), np.sqrt(_of_groups(answer, answer.energy))
-    still = strain <= ROUNDINGS * np.sqrt(_of_groups(answer, answer.noise**2))
-    floor = floor + np.where(still, none, 0.0)
+    floor = floor + np.where(_is_noise(answer), none, 0.0)
     # and does not look at their errors, which those of motions of other bodies are
     floor = floor + np.where(strain <= none, ROUNDINGS * _EPS * (motion + load), 0.0)
     ratio = {"error": worst(np.sqrt(errors), FACTOR * rtol * scale + floor)}
@@ -290,6 +289,13 @@ def worst(values: Vector, allowed: Vector) -> float:
     return float(ratios.max(initial=0.0))
 
 
+def _is_noise(answer: Answer) -> NDArray[np.bool_]:
+    """Tell of which bodies the oracle's strains are its rounding errors."""
+    noise = np.sqrt(_of_groups(answer, answer.noise**2))
+    still: NDArray[np.bool_] = np.sqrt(_of_groups(answer, answer.energy)) <= ROUNDINGS * noise
+    return still
+
+
 def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: float) -> float:
     """Compare contact forces; their scale is all that acts on the bodies of a group.
 
@@ -300,6 +306,7 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
         return 0.0
     acting, largest = np.zeros(answer.group.max() + 1), np.abs(answer.displacement).max()
     whole, springs = float(answer.energy.sum()), problem.springs
+    noise = np.where(_is_noise(answer), answer.noise, 0.0)
     pulls = np.abs(springs.stiffness * (springs.rows @ answer.displacement))
     of_springs = np.bincount(problem.body_of_springs(), pulls, problem.bodies)
     acting += FACTOR * rtol * np.bincount(answer.group, of_springs, acting.size)
@@ -312,6 +319,7 @@ def _force_ratio(problem: GluedProblem, answer: Answer, found: Found, rtol: floa
         if answer.energy[b] <= AT_REST**2 * whole:
             # the energy norm of its error may be AT_REST of all bodies'
             here += AT_REST * np.sqrt(whole * abs(K).max())
+        here += noise[b] * np.sqrt(abs(K).max())
         # and what rounding of the largest motion may strain
         acting[answer.group[b]] += here + 1e-13 * abs(K).max() * largest
     # what rounding makes of the forces on other bodies

@@ -199,8 +199,10 @@ def several_bodies(draw: Draw) -> Ratios:
     side, alike = draw.one_of("master", "slave"), draw.one_of(True, False)
     m = n if alike else n + 1
     soft, law = 10.0 ** draw.between(-2, 0), draw.one_of(None, None, Coulomb(0.3))
-    gap = draw.one_of(0.0, 0.2)
-    method = draw.one_of("linear", "linear", "exact", "finite")
+    gap, method = draw.one_of(0.0, 0.2), draw.one_of("linear", "linear", "exact", "finite")
+    if method != "linear":
+        # bodies that touch each other sideways would overlap once the bar presses them
+        gap = max(gap, 0.05)
 
     def solved(frame: Frame, is_one: bool) -> Answer:
         left, right, bar = block(g, 1.0, n), block(g, 1.0, n), block(g, 2.0 + gap, m, low=1.0)

@@ -194,3 +194,30 @@ def test_cells_of_the_mesh():
             assert problem.rigid_bodies["foot"].rotation[0] < -0.03
     for values, stiff in zip(*found, strict=True):
         assert np.abs(values - stiff).max(initial=0.0) <= 1e-4 * np.abs(stiff).max(initial=0.0)
+
+
+def test_springs_are_no_tangents():
+    """Two lids over one surface, on springs that resist translations alone, overlap the block."""
+    stiffness = np.array([0.05, 0.13]) * E
+    lids = [
+        {
+            "obstacle": Plane((0.0, height), (0.0, -1.0)),
+            "body": RigidBody(
+                (0.5, height),
+                name=f"lid at {height}",
+                translation=(0.0, None),
+                rotation=0.0,
+                spring=np.diag([k, k, 0.0]),
+            ),
+        }
+        for k, height in zip(stiffness, (0.95, 0.97), strict=True)
+    ]
+    problem = rubber(lids, width=2.0, n=2)
+    problem.solve()
+    raised = np.array([body.translation[1] for body in problem.rigid_bodies])
+    forces = [-result.force[1] for result in problem.results]
+    assert forces == pytest.approx(stiffness * raised, rel=1e-5)
+    # both lie on the block
+    assert 0.95 + raised[0] == pytest.approx(0.97 + raised[1], rel=1e-6)
+    assert len(problem.report.newton) <= 4
+    assert max(step.products for step in problem.report.newton) <= 30

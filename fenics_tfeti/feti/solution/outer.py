@@ -134,10 +134,13 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
             return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
         best.update(iterate, certificate)
         if iterate.status is SolveStatus.AT_ROUNDING:
-            # not accurate enough: SMALBE-M goes on from the best state
-            best.rounded = certificate.worst
+            # not accurate enough: SMALBE-M goes on from the best state, with as many products
+            products = context.monitor.history.products
+            best.rounded, loop = certificate.worst, loop.limited_to(2 * products.total)
             iterate = best.start(loop)
             continue
+        if iterate.status is SolveStatus.OUT_OF_PRODUCTS and best.rounded is not None:
+            return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if iterate.status is not SolveStatus.SOLVED:
             return best.outcome(loop, candidate, iterate.status, tolerance)
         stagnation = progress.judge(iterate.method, certificate, tolerance)
@@ -208,6 +211,7 @@ class _Loop:
     scale: EnergyScale  # the tolerances are relative to it
     outer_before: int  # outer iterations of SMALBE-M before this loop
     bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
+    max_products: int
 
     @staticmethod
     def begin(
@@ -220,7 +224,12 @@ class _Loop:
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
         before = len(context.monitor.history.outer)
-        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before, bounds)
+        limit, d_0 = context.options.max_products, feasible.jumps - context.data.c
+        return _Loop(context, primal, d_0, scale, before, bounds, limit)
+
+    def limited_to(self, products: int) -> _Loop:
+        """Return the loop with a limit on products that may be smaller."""
+        return replace(self, max_products=min(self.max_products, products))
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -269,7 +278,7 @@ class _Loop:
         """Return what a method may spend: in the first turn what is left, later a share."""
         options, monitor = self.context.options, self.context.monitor
         history = monitor.history
-        limit, factor = options.max_products, 2**round_number
+        limit, factor = self.max_products, 2**round_number
         if number or self.bounds is not None:
             limit = min(limit, history.products.total + _SHARE * factor)
         return Turn(
@@ -302,7 +311,7 @@ class _Loop:
             return iterate
         if interruption.agreed():
             return replace(iterate, status=SolveStatus.INTERRUPTED)
-        if turn.products.total >= self.context.options.max_products:
+        if turn.products.total >= self.max_products:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
 
