@@ -41,14 +41,14 @@ def moving_bodies(draw: Draw) -> Ratios:
     )
     law = draw.one_of(None, None, Coulomb(0.3))
     posed.hold(BASE, up(g, draw.between(0.01, 0.08), 0.02 if law else 0.0))
-    border = draw.count(1, 2 * n - 1) / n
-    if method != "linear":
-        # a node that stands on the edge of an obstacle would slide off it and on again
-        border += 0.3 / n
+    # a node that stands on the edge of an obstacle would slide off it and on again
+    beyond = 0.0 if method == "linear" else 0.3 / n
+    border = draw.count(1, 2 * n - 1) / n + beyond
+    left, right = (-beyond, border), (border, 2.0 + beyond)
     spans = [(-np.inf, np.inf)] * draw.count(1, 2)
-    spans += draw.one_of([], [(0.0, border), (border, 2.0)])
+    spans += draw.one_of([], [left, right])
     if len(spans) == 1:
-        spans.append((0.0, border))
+        spans.append(left)
     for k in draw.rng.permutation(len(spans)):
         low, high = spans[k]
         middle = [0.5 * (max(low, 0.0) + min(high, 2.0)), *[0.5] * (g - 2), 1.0]
