@@ -18,16 +18,16 @@ from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
 from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.feti.tolerances import CERTIFIED
 from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.options import NewtonOptions
-from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
+from fenics_tfeti.parallel import any_rank, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
@@ -49,7 +49,8 @@ class NewtonStep:
     residual : float
         Forces at free nodes that are not in equilibrium, after the step, relative to the largest of
         reactions, contact forces and the first residual; with contact forces along the normals of
-        the surfaces after the step.
+        the surfaces after the step. Here and below, what rounding of coordinates leaves of forces
+        and distances is none.
     penetration : float
         Largest depth of a slave node in its master or obstacle, relative to the displacement.
     separation : float
@@ -124,19 +125,20 @@ class LoadStep:
     origin: SlipOrigin
     gradients: CellGradients
     shear_over_bulk: float  # mu / kappa of the least compressible material
+    rounding: Rounding
 
     def state_at(
         self,
         displacement: Vector,
         multipliers: Multipliers | SlaveValues,
-        scale: ForceScale,
         bodies: RigidBodies,
+        least: float = 0.0,
         last: DeformedRows | None = None,
     ) -> NewtonState:
         """Fill u, and measure surfaces and residual there. Collective.
 
         Multipliers may be normal forces (k,) [N]. The bodies, and the last rows, are those before
-        the last step.
+        the last step. The residual is relative to a least force [N] or more.
         """
         size = self.torn.nodes.owned * self.torn.nodes.components
         fill_owned(self.u, displacement[:size])
@@ -153,7 +155,9 @@ class LoadStep:
         internal = -self.torn.torn.load()
         if any_rank(self.torn.nodes.comm, ~np.isfinite(internal)):
             raise NotConverged("the residual F is NaN or infinite")
-        equilibrium = Equilibrium.of(internal, rows, multipliers, displacement, scale)
+        equilibrium = Equilibrium.of(
+            internal, rows, multipliers, displacement, least, self.rounding
+        )
         return NewtonState(displacement, rows, multipliers, equilibrium, internal)
 
     def _conditions(self, bodies: RigidBodies, last: DeformedRows | None) -> ContactSet:
@@ -179,7 +183,7 @@ class NewtonIteration:
             load_step.torn.nodes.comm, options.newton_anderson, options.solver.rtol
         )
         self._increment = Function(load_step.torn.space)
-        self._scale = ForceScale()
+        self._least = 0.0  # force that residuals are relative to [N]
         # nodes whose contact changed in the last step, and also in the one before
         self._changed = self._alternating = np.zeros(0, dtype=bool)
 
@@ -187,7 +191,7 @@ class NewtonIteration:
         """Yield the state after each step, the last one in equilibrium."""
         comm, options = self._load_step.torn.nodes.comm, self._options
         first = state.equilibrium
-        self._scale = ForceScale(first.force * max(1.0, first.residual), self._rounding())
+        self._least = first.force * max(1.0, first.residual)
         while len(self.steps) < options.newton_max_it:
             state = self._step(state, monitor)
             self.steps.append(replace(self.steps.pop(), seconds=self._timer.lap(comm)))
@@ -196,13 +200,6 @@ class NewtonIteration:
             if self._is_converged(state):
                 return
         raise NotConverged(self._not_converged(state))
-
-    def _rounding(self) -> float:
-        """Return the stiffness [N/m] that rounding looks like, over the tolerance. Collective."""
-        torn = self._load_step.torn
-        entries = [np.abs(s.stiffness.data).max() for s in torn.torn.assemble()]
-        stiffness = largest_of_ranks(torn.nodes.comm, entries)
-        return COORDINATE_ROUNDING * stiffness / self._options.newton_rtol
 
     def _report(self, monitor: Monitor | None) -> None:
         """Pass the last step on to the user."""
@@ -318,7 +315,7 @@ class NewtonIteration:
                 displacement = step.displacement + length * step.increment
                 new = multipliers.from_flat(step.multipliers)
                 bodies = last.conditions.bodies
-                state = self._load_step.state_at(displacement, new, self._scale, bodies, last)
+                state = self._load_step.state_at(displacement, new, bodies, self._least, last)
                 return state, length
             except (InputError, NotConverged) as error:
                 length *= 0.5

@@ -21,7 +21,7 @@ from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
-from fenics_tfeti.fem.newton.equilibrium import ForceScale
+from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
@@ -189,13 +189,20 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._refresh()
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
-            self._torn, self.u, self._step.origin, self._gradients, self._shear_over_bulk
+            self._torn,
+            self.u,
+            self._step.origin,
+            self._gradients,
+            self._shear_over_bulk,
+            Rounding.none(self._torn.nodes),
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
-            first = load_step.state_at(start, self._step.force, ForceScale(), bodies)
+            first = load_step.state_at(start, self._step.force, bodies)
         except NotConverged as error:
             raise InputError(f"u cannot be the start of Newton's method: {error}") from None
+        rounding = Rounding.of(self._torn.torn.assemble(), self._torn.nodes)
+        load_step = replace(load_step, rounding=rounding)
         iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
         try:
             for state in iteration.run(first, monitor):

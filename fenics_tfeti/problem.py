@@ -24,6 +24,7 @@ from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_c
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
+from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
@@ -385,7 +386,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
             if bodies.frames or any(found.friction is not None for found in conditions.contacts):
                 before, now = (DeformedRows.of(c, uh, origin) for c in (conditions, self._deformed))
                 multipliers = Multipliers.of(before, solution)
-                forces = misfit_of_forces(now, multipliers, owned_values(uh))
+                rounding = Rounding.of(self._torn.torn.subdomains, self._torn.nodes)
+                forces = misfit_of_forces(now, multipliers, owned_values(uh), rounding)
         products = self.report.products["total"]
         return geometry_pass(measured, self._solved.contacts, uh, products, *forces)
 

@@ -15,7 +15,8 @@ from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidBody
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, ForceScale, Multipliers
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
+from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import Friction
 from fenics_tfeti.models import neo_hookean
 
@@ -63,17 +64,16 @@ def test_mixed_pressures_are_not_negative():
 
 
 @pytest.mark.parametrize(
-    ("pressure", "reaction", "scale", "force"),
+    ("pressure", "reaction", "least", "force"),
     [
-        (5.0, 3.0, ForceScale(), np.sqrt(3.0) * 5.0),
-        (5.0, 30.0, ForceScale(), np.sqrt(3.0) * 30.0),
-        (5.0, 3.0, ForceScale(20.0, 50.0), 20.0),
-        (5.0, 3.0, ForceScale(20.0, 250.0), 50.0),
-        (0.0, 0.0, ForceScale(), 0.25),
+        (5.0, 3.0, 0.0, np.sqrt(3.0) * 5.0),
+        (5.0, 30.0, 0.0, np.sqrt(3.0) * 30.0),
+        (5.0, 3.0, 20.0, 20.0),
+        (0.0, 0.0, 0.0, 0.25),
     ],
 )
-def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scale, force):
-    """The obstacle's, the supports', the least one, that of the displacement, the residual."""
+def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, least, force):
+    """The obstacle's, the supports', the least one, the residual."""
     problem, rows = blocks
     nodes, given = rows.surface_nodes, Multipliers.none(rows)
     given.normal[OBSTACLE] = pressure
@@ -81,7 +81,7 @@ def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scal
     forces[nodes[BODY], 0] = reaction
     forces[nodes[0]] += 0.15, -0.2
     u = np.full(forces.size, -0.2)
-    result = Equilibrium.of(forces, rows, given, u, scale)
+    result = Equilibrium.of(forces, rows, given, u, least, Rounding.none(problem._torn.nodes))
     assert result.force == pytest.approx(force)
     assert result.residual == pytest.approx(0.25 / force)
     assert result.separation == pytest.approx(0.5 if pressure else 0.0)
@@ -90,13 +90,39 @@ def test_residual_relative_to_the_largest_force(blocks, pressure, reaction, scal
 
 def test_penetration_before_anything_moves_is_infinite(blocks):
     """Relative to the displacement, and without a warning of NumPy."""
-    _, rows = blocks
-    given = Multipliers.none(rows)
+    problem, rows = blocks
+    given, rounding = Multipliers.none(rows), Rounding.none(problem._torn.nodes)
     overlapping = replace(rows, contacts=replace(rows.contacts, gap=np.full(9, -10.0)))
     u = np.zeros_like(rows.force(given)[0])
     with np.errstate(all="raise"):
-        result = Equilibrium.of(u, overlapping, given, u, ForceScale())
+        result = Equilibrium.of(u, overlapping, given, u, 0.0, rounding)
     assert result.penetration == np.inf
+
+
+@pytest.mark.parametrize(("size", "counts"), [(0.5, False), (2.0, True)])
+@pytest.mark.parametrize("measure", ["residual", "penetration", "separation", "friction"])
+def test_what_rounding_leaves_is_none(blocks, measure, size, counts):
+    """Of forces at nodes, distances and slips, at displacements that are as small."""
+    problem, rows = blocks
+    nodes, given = problem._torn.nodes, Multipliers.none(rows)
+    rounding = Rounding.of(problem._torn.torn.subdomains, nodes)
+    length = size * rounding.length(0.0)
+    gap, internal = np.zeros(9), np.zeros((nodes.owned, 2))
+    if measure == "residual":
+        internal[:, 0] = size * rounding.internal_forces(0.0)
+    elif measure == "friction":
+        site = OBSTACLE[1:2]
+        slip = np.full((1, 1), -length)
+        friction = Friction(site, np.array([[[1.0, 0.0]]]), np.full(1, np.inf), slip, np.zeros(1))
+        rows = replace(rows, friction=friction)
+        given.tangential[rows.place[site], 0] = 1e-6
+    else:
+        gap[OBSTACLE] = length if measure == "separation" else -length
+        given.normal[OBSTACLE] = float(measure == "separation")
+    rows = replace(rows, contacts=replace(rows.contacts, gap=gap * rows.contacts.length))
+    u = np.full(internal.size, rounding.length(0.0))
+    result = Equilibrium.of(internal, rows, given, u, 0.0, rounding)
+    assert (getattr(result, measure) > 0.0) == counts
 
 
 @pytest.mark.parametrize(
@@ -120,4 +146,4 @@ def test_excess_over_the_law_of_friction(blocks, force, slip, excess):
     rows = replace(rows, friction=friction)
     multipliers.normal[rows.place[row]] = 4.0 / rows.contacts.length[row]
     multipliers.tangential[rows.place[row], 0] = force / rows.contacts.length[row]
-    assert rows.excess(multipliers, 10.0) == pytest.approx([excess], abs=1e-14)
+    assert rows.excess(multipliers, 10.0, 0.0) == pytest.approx([excess], abs=1e-14)

@@ -20,9 +20,11 @@ from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.displacement import owned_values, prescribed_components
 from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
+from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -72,18 +74,20 @@ class DeformedRows:
         """Distances of the surfaces at each row (k,) [m], negative inside."""
         return self.contacts.gap / self.contacts.length
 
-    def excess(self, multipliers: Multipliers, stiffness: float) -> Vector:
+    def excess(self, multipliers: Multipliers, stiffness: float, negligible: float) -> Vector:
         """Return by how much forces break the law of friction, (k,) at each site [N].
 
         It is the distance of a tangential force t from the projection of t + stiffness * slip on
         the disc of the slip bound: what t is above the bound, or away from it where the node slips;
-        slip, times the stiffness [N/m], where the force is below the bound.
+        slip, times the stiffness [N/m], where the force is below the bound. Slips up to a length
+        [m] are negligible.
         """
         friction = self.friction
         length = self.contacts.length[friction.row]
         force, bound = length[:, None] * self.tractions(multipliers), self.slip_bounds(multipliers)
         # in directions without force supports decide the slip
-        slip = np.where(force == 0.0, 0.0, -np.asarray(friction.slip))
+        slip = -np.asarray(friction.slip)
+        slip = np.where((force == 0.0) | (np.abs(slip) <= negligible), 0.0, slip)
         trial = force + stiffness * slip
         size = np.linalg.norm(trial, axis=1)
         share = np.divide(bound, size, out=np.ones_like(size), where=size > bound)
@@ -192,16 +196,11 @@ class Multipliers:
 
 
 @dataclass(frozen=True)
-class ForceScale:
-    """The least forces that a residual is relative to, beside reactions and contact forces."""
-
-    force: float = 0.0  # [N]
-    stiffness: float = 0.0  # times the largest displacement [N/m]
-
-
-@dataclass(frozen=True)
 class Equilibrium:
-    """How well a displacement and multipliers fulfil equilibrium and contact; on all ranks."""
+    """How well a displacement and multipliers fulfil equilibrium and contact; on all ranks.
+
+    What rounding of coordinates leaves counts as fulfilled.
+    """
 
     residual: float  # of F(u) + B'lambda, relative to the largest sum of forces
     penetration: float  # relative to the largest displacement
@@ -221,38 +220,36 @@ class Equilibrium:
         rows: DeformedRows,
         multipliers: Multipliers,
         displacement: Vector,
-        scale: ForceScale,
+        least: float,
+        rounding: Rounding,
     ) -> Equilibrium:
         """Measure it. Collective.
 
         The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
+        The residual is relative to a least force [N] or more.
         """
         nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
         contact, on_bodies = rows.force(multipliers)
         free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
-        r = np.where(free, internal + contact, 0.0)
+        size = largest_of_ranks(nodes.comm, np.abs(displacement))
+        r = internal + contact
+        counts = free & (np.abs(r) > rounding.internal_forces(size)[:, None])
+        r = np.where(counts, r, 0.0)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
+        left = _left_on_bodies(rows, on_bodies, size, rounding)
         if nodes.comm.rank == 0:
-            squares[0] += (rows.conditions.bodies.free_forces(-on_bodies, nodes.total) ** 2).sum()
+            squares[0] += (left**2).sum()
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
-        finite = np.isfinite(rows.distance)
+        distance = np.where(np.isfinite(rows.distance), rows.distance, np.inf)
+        counts = np.isfinite(distance) & (np.abs(distance) > rounding.length(size))
         loaded = multipliers.normal[rows.place] > 0.0
-        largest = np.array(
-            [
-                (-rows.distance[finite]).max(initial=0.0),
-                np.abs(rows.distance[finite & loaded]).max(initial=0.0),
-                np.abs(displacement).max(initial=0.0),
-            ]
-        )
-        nodes.comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-        penetration, separation, size = largest.tolist()
-        least = max(scale.force, scale.stiffness * size)
-        # a load on a body at rest is balanced by nothing yet
+        penetration = largest_of_ranks(nodes.comm, -distance[counts])
+        separation = largest_of_ranks(nodes.comm, np.abs(distance[counts & loaded]))
         tiny = float(np.finfo(float).tiny)
+        # a load on a body at rest is balanced by nothing yet
         force = max(least, reaction, pressing) or residual or tiny
-        excess = rows.excess(multipliers, force / size if size else 0.0)
+        broken = _broken_friction(rows, multipliers, force, size, rounding)
         size = size or tiny
-        broken = float(np.sqrt(nodes.comm.allreduce(float(excess @ excess))))
         return Equilibrium(
             residual / force,
             penetration / size,
@@ -261,6 +258,38 @@ class Equilibrium:
             force,
             _largest(nodes, r),
         )
+
+
+def _left_on_bodies(
+    rows: DeformedRows, on_bodies: Vector, displacement: float, rounding: Rounding
+) -> Vector:
+    """Return what is out of balance on rigid bodies, as of `RigidBodies.free_forces`. Collective.
+
+    What rounding leaves of all contact forces together is none.
+    """
+    nodes = rows.conditions.boundary.nodes
+    left = rows.conditions.bodies.free_forces(-on_bodies, nodes.total)
+    slaves = rows.surface_nodes - nodes.first
+    negligible = nodes.comm.allreduce(float(rounding.contact_forces(displacement)[slaves].sum()))
+    return np.where(np.abs(left) > negligible, left, 0.0)
+
+
+def _broken_friction(
+    rows: DeformedRows,
+    multipliers: Multipliers,
+    force: float,
+    displacement: float,
+    rounding: Rounding,
+) -> float:
+    """Return by how much forces break the law of friction in all [N]. Collective.
+
+    Slips are times a force over the largest displacement.
+    """
+    nodes, stiffness = rows.conditions.boundary.nodes, force / displacement if displacement else 0.0
+    excess = rows.excess(multipliers, stiffness, rounding.length(displacement))
+    slaves = rows.surface_nodes[rows.place[rows.friction.row]] - nodes.first
+    excess = excess[excess > rounding.contact_forces(displacement)[slaves]]
+    return float(np.sqrt(nodes.comm.allreduce(float(excess @ excess))))
 
 
 def _largest(nodes: NodeMap, r: Vector) -> str:
@@ -272,7 +301,7 @@ def _largest(nodes: NodeMap, r: Vector) -> str:
 
 
 def misfit_of_forces(
-    rows: DeformedRows, multipliers: Multipliers, displacement: Vector
+    rows: DeformedRows, multipliers: Multipliers, displacement: Vector, rounding: Rounding
 ) -> tuple[float, float]:
     """Return how far forces are off equilibrium of rigid bodies, and off friction. Collective.
 
@@ -281,12 +310,12 @@ def misfit_of_forces(
     """
     nodes, bodies = rows.conditions.boundary.nodes, rows.conditions.bodies
     contact, on_bodies = rows.force(multipliers)
-    left, loads = (bodies.free_forces(f, nodes.total) for f in (-on_bodies, 0.0 * on_bodies))
+    loads = bodies.free_forces(0.0 * on_bodies, nodes.total)
     pressing = np.sqrt(nodes.comm.allreduce(float(np.sum(contact**2))))
-    size = nodes.comm.allreduce(float(np.abs(displacement).max(initial=0.0)), MPI.MAX)
+    size = largest_of_ranks(nodes.comm, np.abs(displacement))
     force = max(pressing, float(np.linalg.norm(loads)))
     if not force * size:
         return 0.0, 0.0
-    excess = rows.excess(multipliers, force / size)
-    broken = np.sqrt(nodes.comm.allreduce(float(excess @ excess)))
-    return float(np.linalg.norm(left)) / force, float(broken) / force
+    left = _left_on_bodies(rows, on_bodies, size, rounding)
+    broken = _broken_friction(rows, multipliers, force, size, rounding)
+    return float(np.linalg.norm(left)) / force, broken / force

@@ -85,8 +85,11 @@ def deformed_contacts(
         new = _deformed(contact, pairing, surface.normal, whole, boundary)
         moved = np.sum(new.pairing.relative(u) * new.pairing.normal, axis=1)
         stretch = new.pairing.stretch_at(boundary)
-        total = replace(new.pairing, gap=new.pairing.gap + moved, stretch=stretch)
-        measured.append(replace(new, pairing=total))
+        distance, penetration, gap = map(
+            surface.without_rounding, (new.distance, new.penetration, new.pairing.gap + moved)
+        )
+        total = replace(new.pairing, gap=gap, stretch=stretch)
+        measured.append(replace(new, pairing=total, distance=distance, penetration=penetration))
     parts: dict[int, list[ContactPairing]] = {}
     for (contact, _), new in zip(contacts, measured, strict=True):
         parts.setdefault(id(contact), []).append(new.pairing)

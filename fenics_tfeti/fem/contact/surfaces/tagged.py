@@ -187,8 +187,11 @@ class Surface:
                 f"{remedy}"
             )
 
-    def without_rounding(self, lengths: Vector, contact: Numbers) -> Vector:
-        """Set lengths (q,) [m] to zero that are no more than the rounding of coordinates."""
+    def without_rounding(self, lengths: Vector, contact: Numbers | int = 0) -> Vector:
+        """Set lengths (q,) [m] to zero that are no more than the rounding of coordinates.
+
+        They are those of contacts (q,), or of one.
+        """
         rounding = COORDINATE_ROUNDING * self.extent[contact]
         return np.where(np.abs(lengths) <= rounding, 0.0, lengths)
 
