@@ -26,6 +26,7 @@ from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.feti.factors.supernodal import Orderings
 from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report.report import Report, build_report
@@ -161,6 +162,8 @@ class TornSolver:
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
         self._deflation_solves = 0
+        # of the factors of all solvers of a sequence
+        self._orderings: Orderings = {} if previous is None else previous._orderings
         with interruption.deferred():
             self.setup, self.data, self.reused = self._set_up(package, previous, guess)
         self._constraints = self.setup.constraints
@@ -203,7 +206,9 @@ class TornSolver:
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
             inverses = (
-                known.F.inverses if known else factor_subdomains(system, options, local, package)
+                known.F.inverses
+                if known
+                else factor_subdomains(system, options, local, package, self._orderings)
             )
             setup = DualSetup.build(system, options, local, projector, inverses, package)
         with phase("deflation"):
@@ -255,7 +260,7 @@ class TornSolver:
         if previous is not None and previous._start is not None:
             last, constraints = previous._start, self.setup.constraints
             if constraints.same_numbering(previous._constraints):
-                state = Iterate(last.multipliers)
+                state = Iterate(last.multipliers, is_direct=last.is_direct)
                 self.reused.append("multipliers")
         if guess is None:
             return state
@@ -278,7 +283,7 @@ class TornSolver:
         active = force / (unit * constraints.contacts.scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
         multipliers[rows] = np.where(active, force / constraints.contacts.scale, 0.0)
-        return Iterate(multipliers, active=active)
+        return Iterate(multipliers, active=active, is_direct=_is_direct(state))
 
     @property
     def state(self) -> SavedState:
@@ -298,7 +303,8 @@ class TornSolver:
 
         It is that with F and d themselves, without deflation.
         """
-        setup, monitor = self.setup.without_deflation(), Monitor(History(), self.system.comm)
+        setup, monitor = self.setup.for_solve(), Monitor(History(), self.system.comm)
+        setup = setup.without_deflation()
         return dual_problem(SolveContext(setup, self.data, self.options, self.timer, monitor))
 
     def release(self) -> None:
@@ -348,12 +354,13 @@ class TornSolver:
             return self._solve(Monitor(history, comm, monitor, watched, self.options.monitor))
 
     def _solve(self, monitor: Monitor) -> TornSolution:
+        setup = self.setup.for_solve(_is_direct(self._start))
         context = SolveContext(
-            self.setup, self.data, self.options, self.timer, monitor, self.system.body_names
+            setup, self.data, self.options, self.timer, monitor, self.system.body_names
         )
         balance = partial(self._balance, explain=False)
         outcome = iterate_slip_bounds(context, self._start, balance)
-        self._start = outcome.start
+        self._start = replace(outcome.start, is_direct=setup.is_direct)
         report = build_report(self.system, context, outcome, list(self.reused))
         # a further solve spends nothing on the set-up
         self.reused = ["factors", "coarse problem", "norm", "multipliers"]
@@ -406,6 +413,11 @@ def _check_arguments(system: TornSystem, options: Options | None) -> None:
             f"options: got {type(options).__name__}, expected Options; parse_options makes them "
             "from a mapping"
         )
+
+
+def _is_direct(start: Iterate | None) -> bool:
+    """Tell whether faces are solved directly from a start on."""
+    return start is not None and start.is_direct
 
 
 def _has_same_stiffness(system: TornSystem, previous: TornSystem) -> bool:

@@ -9,12 +9,23 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from prestressed import pressed_block
+from fibres import FAR, subdomain
+from lattice import box_stiffness
+from prestressed import compression, pressed_block, stressed
+from torn import POISSON, cube, fixed_nodes
 
 from fenics_tfeti.errors import UnstableTangent
-from fenics_tfeti.feti import Options, TornSolver, TornSystem, prepare_tangents
+from fenics_tfeti.feti import (
+    ContactRows,
+    Options,
+    Subdomain,
+    TornSolver,
+    TornSystem,
+    prepare_tangents,
+)
 
 COMM = MPI.COMM_WORLD
+STRESS = compression(3, 0.05)
 BLOCKS: dict[str, dict[str, Any]] = {
     "2D": {"gdim": 2, "shape": (3, 3), "columns": 6, "layers": 4},
     "2D, slender": {"gdim": 2, "shape": (12, 2), "columns": 2, "layers": 6, "pressure": 0.1},
@@ -80,3 +91,25 @@ def test_unstable_tangent_is_refused_on_all_ranks():
         TornSolver(prepare_tangents(system, "exact"))
     found = TornSolver(prepare_tangents(system, "projected")).solve()
     assert found.report.converged
+
+
+def test_preconditioner_is_chosen_as_on_one_rank():
+    """An indefinite tangent on one rank, flat cells on the other: no Dirichlet preconditioner."""
+    n, thin = 4, np.array([1.0, 1.0, 0.05])
+    pressed = stressed(subdomain((0, 0, 0), (3, 2, 3), lambda x: np.ones(len(x)), 0), STRESS)
+    flat = cube(n, body=1, first=FAR**3)
+    flat = replace(
+        flat, stiffness=box_stiffness(n, thin, POISSON), coordinates=thin * flat.coordinates
+    )
+    assert chosen_kind(MPI.COMM_SELF, replace(flat, body=0)) == "dirichlet"
+    assert chosen_kind(MPI.COMM_SELF, pressed, flat) == "lumped"
+    assert chosen_kind(COMM, (pressed, flat)[COMM.rank]) == "lumped"
+
+
+def chosen_kind(comm: MPI.Intracomm, *parts: Subdomain) -> str:
+    """Return the preconditioner of subdomains that are clamped at z = 0."""
+    base = np.concatenate([s.nodes[s.coordinates[:, 2] == 0.0] for s in parts])
+    system = TornSystem(
+        list(parts), fixed_nodes(base, range(3)), ContactRows.none(3), 3, ["A", "B"], comm=comm
+    )
+    return TornSolver(prepare_tangents(system, "exact")).setup.choice.kind

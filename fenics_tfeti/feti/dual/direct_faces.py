@@ -43,7 +43,7 @@ _SUPPORT = 1e-10
 
 @dataclass
 class DirectFaces:
-    """Direct solvers of faces, from the first one on that converges slowly."""
+    """Direct solvers of faces, which keep the factor of the last one."""
 
     F: DualOperator
     stiffness: Sequence[sp.csr_matrix]  # (n, n): K_i of each subdomain of this rank
@@ -51,7 +51,6 @@ class DirectFaces:
     package: str  # of the factors
     # steps on a face that take the time of a factor; infinite without direct solvers
     patience: float
-    slow: bool = field(init=False, default=False)  # whether conjugate gradients were slow on a face
     _last: tuple[sp.csr_matrix, Vector, Callable[[Vector], Vector]] | None = field(
         init=False, repr=False, default=None
     )

@@ -92,6 +92,7 @@ class Iterate:
     slips: Vector | None = None
     # active sets (i,) on which the active set method went round in circles
     circle: tuple[Mask, ...] = ()
+    is_direct: bool = False  # of a start: whether faces are solved directly from it on
 
     def at_multipliers(self, slips: Vector) -> Iterate:
         """Return the iterate to start from its multipliers, active set and slips alone.

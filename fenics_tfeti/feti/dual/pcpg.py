@@ -29,6 +29,7 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
+from fenics_tfeti.feti.dual.preconditioner import Preconditioner
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products, balls
 from fenics_tfeti.typing import Mask, Vector
@@ -108,36 +109,44 @@ class Face:
     # x -> this rank's part of B_D S B_D'x on the face, scaled where forces turn
     precondition: Callable[[Vector], Vector] | None
     loose: LooseBodies | None  # bodies whose position the rows on the face do not determine
+    is_direct: bool = False  # whether `precondition` is a direct solver of the face
 
     @staticmethod
     def build(problem: DualProblem, contact_state: ContactState, projector: Projector) -> Face:
         """Make the preconditioner of a face. Collective."""
         kind, friction = problem.preconditioner, problem.constraints.friction
-        rows = projector.rows
-        if projector.across is not None:
-            rows = rows | friction.on_rows(projector.across.any(axis=1), rows.size)
         fixed = friction.off_face(contact_state.sticking, contact_state.forces)
-        precondition = None if kind is None else kind.on_face(rows)
-        if kind is not None and precondition is not None:
-            tangent, curvature = projector.across, contact_state.curvature
-            if tangent is not None:
-                precondition = _scaled(problem, precondition, curvature, tangent)
-            compliance = (
-                0.0 if contact_state.proximal is None else 1.0 / contact_state.proximal.stiffness
-            )
-            kernel = kind.on_kernel(rows, tangent, curvature, compliance)
-            precondition = precondition if kernel is None else _sum_of(precondition, kernel)
         contact_state, loose = replace(contact_state, forces=fixed), LooseBodies.on_face(projector)
-        face = Face(contact_state, projector, precondition, loose)
-        return face.direct(problem) if kind is not None and kind.is_direct else face
+        face = Face(contact_state, projector, None, loose)
+        if kind is None:
+            return face
+        return face.direct(problem) if kind.is_direct else face._iterative(problem, kind)
 
     def direct(self, problem: DualProblem) -> Face:
         """Return the face with a direct solver as its preconditioner. Collective."""
-        proximal, kind = self.contact_state.proximal, problem.preconditioner
+        kind, curvature = problem.preconditioner, self.contact_state.curvature
         assert kind is not None and kind.direct is not None
-        compliance = 0.0 if proximal is None else 1.0 / proximal.stiffness
-        solve = kind.direct.on_face(self.projector, self.contact_state.curvature, compliance)
-        return replace(self, precondition=solve)
+        solve = kind.direct.on_face(self.projector, curvature, self._compliance)
+        return replace(self, precondition=solve, is_direct=True)
+
+    def _iterative(self, problem: DualProblem, kind: Preconditioner) -> Face:
+        """Return the face with the preconditioner of a kind. Collective."""
+        rows, tangent = self.projector.rows, self.projector.across
+        friction, curvature = problem.constraints.friction, self.contact_state.curvature
+        if tangent is not None:
+            rows = rows | friction.on_rows(tangent.any(axis=1), rows.size)
+        precondition = kind.on_face(rows)
+        if tangent is not None:
+            precondition = _scaled(problem, precondition, curvature, tangent)
+        kernel = kind.on_kernel(rows, tangent, curvature, self._compliance)
+        return replace(
+            self, precondition=precondition if kernel is None else _sum_of(precondition, kernel)
+        )
+
+    @property
+    def _compliance(self) -> float:
+        proximal = self.contact_state.proximal
+        return 0.0 if proximal is None else 1.0 / proximal.stiffness
 
     def curvature_gradient(self, x: Vector) -> Vector:
         """Return Cx on the face, C the second derivative of the terms beside 1/2 l'Fl."""
@@ -203,6 +212,7 @@ class PCPGIterate:
     preconditioned: Vector | None = None  # (m,): z = PMr, once it is known
     rz: float = np.inf  # r'z, the squared energy of the residual [J]; infinite while z is not known
     at_limit: bool = False  # whether the residual is rounding: more steps do not reduce it
+    is_direct: bool = False  # whether a direct solver made z, or the direction
 
     @property
     def energy(self) -> float:
@@ -236,9 +246,10 @@ def pcpg(
     gradients are continued on the same face. Where rounding ends the iterations, the iterate with
     the smallest energy, up to a factor of two, is returned.
     """
-    iterate = start if resume and isinstance(start, PCPGIterate) else None
-    if iterate is None:
+    if not (resume and isinstance(start, PCPGIterate)):
         iterate = first_iterate(problem, face, start, products)
+    else:
+        iterate = start if start.is_direct == face.is_direct else _restarted(start)
     test_below, best, peak, steps = 0.5 * iterate.residual, iterate, 0.0, 0
     while iterate.residual > 0.0 and products.total < max_products:
         if interruption.agreed():
@@ -330,7 +341,8 @@ def _step(
     alpha = rz / curvature
     l, g = l + alpha * p, g + alpha * (change - curvature_gradient)
     lengths = (*iterate.step_lengths, alpha)
-    return PCPGIterate(face.contact_state, l, g, *_norms(problem, face, l, g), p, rz, lengths)
+    norms, direct = _norms(problem, face, l, g), face.is_direct
+    return PCPGIterate(face.contact_state, l, g, *norms, p, rz, lengths, is_direct=direct)
 
 
 def _with_preconditioned_residual(
@@ -344,7 +356,7 @@ def _with_preconditioned_residual(
     if rz is None:
         # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
         z, rz = z / problem.norm, iterate.residual**2 / problem.norm
-    return replace(iterate, preconditioned=z, rz=rz)
+    return replace(iterate, preconditioned=z, rz=rz, is_direct=face.is_direct)
 
 
 def iterate_on(
@@ -370,9 +382,9 @@ def first_iterate(
     if not isinstance(start, PCPGIterate):
         l = _nearest_on_face(problem, face, start)
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
-    l, kind = _nearest_on_face(problem, face, start.multipliers), problem.preconditioner
+    l = _nearest_on_face(problem, face, start.multipliers)
     steps = tuple[float, ...]()
-    if kind is None or not kind.is_direct:
+    if not face.is_direct:
         # from another face, with a preconditioned step by the residual there: no product of its own
         alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
         z, rz = _precondition(face, face.projector.P(r), products)

@@ -7,7 +7,7 @@ the coupled ones this is B D^{-1}, of those W_RR^{-1} B D^{-1} (`constraints.cou
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -37,15 +37,21 @@ PreconditionerKind = Literal["auto", "lumped", "dirichlet", "none"]
 _INCOMPRESSIBLE = 25.0
 
 
-@dataclass(frozen=True)
+@dataclass
 class Preconditioner:
-    """B_D S B_D' on the faces of a dual problem."""
+    """B_D S B_D' on the faces of a dual problem, or their direct solvers."""
 
     # x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`
     apply: Callable[[Vector], Vector]
     constraints: Constraints
     scaling: DeluxeScaling | None = None  # of stiff modes, which `apply` has too
     direct: DirectFaces | None = None  # for faces that converge slowly; None where K is indefinite
+    # whether faces are solved directly: conjugate gradients were slow on one, now or before
+    is_direct: bool = False
+
+    def for_solve(self, is_direct: bool) -> Preconditioner:
+        """Return that of one solve, in which faces are solved directly from the start, or not."""
+        return replace(self, is_direct=is_direct and self.direct is not None)
 
     def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
         """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
@@ -70,17 +76,12 @@ class Preconditioner:
 
         return precondition
 
-    @property
-    def is_direct(self) -> bool:
-        """Whether faces are solved directly."""
-        return self.direct is not None and self.direct.slow
-
     def becomes_direct(self, steps: int) -> bool:
         """Tell if faces are solved directly from now on, after some steps on one. Collective."""
-        if self.direct is None or self.direct.slow:
+        if self.direct is None or self.is_direct:
             return False
-        self.direct.slow = steps >= self.direct.patience
-        return self.direct.slow
+        self.is_direct = steps >= self.direct.patience
+        return self.is_direct
 
     def _with_scaling(self, close: Operator) -> Operator:
         layout = self.constraints.layout

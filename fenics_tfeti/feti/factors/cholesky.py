@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Hashable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -21,7 +21,12 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import FactorizationError, InputError
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.factors.compiled import supernodal_library
-from fenics_tfeti.feti.factors.supernodal import DowndatedFactor, NotDefinite, SupernodalFactor
+from fenics_tfeti.feti.factors.supernodal import (
+    DowndatedFactor,
+    NotDefinite,
+    Ordering,
+    SupernodalFactor,
+)
 from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
@@ -175,13 +180,13 @@ def sparse_cholesky(
     package: str,
     quick: bool = False,
     width: int = 1,
-    name: Hashable = None,
+    last: Ordering | None = None,
 ) -> SparseFactor:
     """Factor a sparse symmetric positive definite matrix.
 
     The matrix has both triangles; `FactorizationError` if it is not positive definite. Its unknowns
-    are those of nodes, `width` each. A matrix with a name may take CHOLMOD's ordering of the last
-    one of that name, which has about the same pattern. A `quick` factor is for few solves: CHOLMOD
+    are those of nodes, `width` each. CHOLMOD may take the `last` ordering, that of a matrix of
+    about the same pattern, and leaves its own there. A `quick` factor is for few solves: CHOLMOD
     takes PETSc's nested dissection and tries no other ordering. That is half the time for a large
     coarse problem on a grid, and a factor up to two fifths larger.
 
@@ -193,7 +198,7 @@ def sparse_cholesky(
     [3.0, 2.0]
     """
     try:
-        factor = SparseFactor(_factor(matrix, package, quick, width=width, name=name))
+        factor = SparseFactor(_factor(matrix, package, quick, width=width, last=last))
         if package != "cholmod" and factor.negative:
             raise _Unusable(f"{factor.negative} negative pivots")
         # CHOLMOD's failures, which PETSc does not pass on
@@ -208,13 +213,13 @@ def sparse_cholesky(
 
 
 def downdated_cholesky(
-    matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1, name: Hashable = None
+    matrix: sp.csr_matrix, U: Vector, package: str, width: int = 1, last: Ordering | None = None
 ) -> SparseFactor:
     """Return the inverse of A - UU', which may be indefinite, by a Cholesky factor; its inertia.
 
     A (n, n) is as for `sparse_cholesky`, and U (n, k) has few columns. Where A has a few negative
     eigenvalues, springs are added that make it positive definite, in place, and taken off again by
-    further columns of U; those of the last matrix with the same name are tried first.
+    further columns of U; those of the matrix of the `last` ordering are tried first.
     `FactorizationError` if too many more are needed, if A - UU' is singular, or where CHOLMOD's
     solves are not compiled.
     """
@@ -225,7 +230,7 @@ def downdated_cholesky(
         # the springs are added to these arrays
         matrix.sort_indices()
         spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
-        A = SupernodalFactor(library, matrix, width, methods, name, spring, _SPRINGS)
+        A = SupernodalFactor(library, matrix, width, methods, last, spring, _SPRINGS)
         held = np.zeros((matrix.shape[0], A.held.size))
         held[A.held, np.arange(A.held.size)] = np.sqrt(spring)
         U = np.hstack([U, held])
@@ -286,14 +291,14 @@ def _factor(
     quick: bool = False,
     definite: bool = True,
     width: int = 1,
-    name: Hashable = None,
+    last: Ordering | None = None,
 ) -> _Factor:
     if package == "rslab":
         return _RslabFactor(matrix)
     if package == "cholmod" and not quick and (library := supernodal_library()[0]) is not None:
         try:
             methods = _cholmod_orderings(matrix.shape[0])
-            return SupernodalFactor(library, matrix, width, methods, name)
+            return SupernodalFactor(library, matrix, width, methods, last)
         except NotDefinite as error:
             raise _Unusable(str(error)) from error
     return _PetscFactor(matrix, package, quick, definite)

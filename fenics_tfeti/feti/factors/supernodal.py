@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import weakref
-from collections.abc import Hashable
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,8 +14,6 @@ from fenics_tfeti.typing import Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many
 _LANES = 8
-# numbers in orderings that are kept, at most: as many unknowns
-_MOST = 2**24
 # springs of the last matrix of a name that serve again, at most
 _HELD = 32
 # a kept ordering serves while it leads to so many times the entries at most
@@ -27,44 +24,43 @@ class NotDefinite(Exception):
     """CHOLMOD has met a pivot that is not positive, or no memory."""
 
 
-class _Orderings:
-    """The orderings of the last matrices, their numbers of entries and their springs, by name.
+class Ordering:
+    """The ordering of the last matrix of a subdomain, its number of entries and its springs.
 
-    A similar matrix, such as that of the next Newton step, may have a few other entries.
+    A similar matrix, such as that of the next Newton step, may have a few other entries. What the
+    ordering is `of`, the size and the way to find it, has to be the same.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[Hashable, tuple[Indices, float, Indices]] = {}
-        self._numbers = 0
+        self._of: tuple[int, ...] | None = None
+        self._kept: tuple[Indices, float, Indices]
 
-    def find(self, name: Hashable, size: int) -> tuple[Indices, float, Indices]:
+    def find(self, of: tuple[int, ...]) -> tuple[Indices, float, Indices]:
         """Return a copy of an ordering, its entries and springs; room and 0 if there is none."""
-        none = np.empty(size, dtype=np.int32), 0.0, np.zeros(0, dtype=np.int32)
-        ordering, entries, held = self._kept.get(name, none)
-        return ordering.copy(), entries, held if held.size <= _HELD else none[2]
+        if self._of != of:
+            none: Indices = np.zeros(0, dtype=np.int32)
+            return np.empty(of[0], dtype=np.int32), 0.0, none
+        ordering, entries, held = self._kept
+        return ordering.copy(), entries, held[: held.size * (held.size <= _HELD)]
 
-    def keep(self, name: Hashable, ordering: Indices, entries: float, held: Indices) -> None:
-        """Keep an ordering; all are forgotten when they are too many."""
-        if self._numbers > _MOST:
-            self._kept.clear()
-            self._numbers = 0
-        self._numbers += ordering.size if name not in self._kept else 0
-        self._kept[name] = ordering, entries, held
+    def keep(self, of: tuple[int, ...], ordering: Indices, entries: float, held: Indices) -> None:
+        """Keep an ordering in place of the last one."""
+        self._of, self._kept = of, (ordering, entries, held)
 
 
-_orderings = _Orderings()
+# by name of the subdomain
+Orderings = dict[int, Ordering]
 
 
 class SupernodalFactor:
     """The Cholesky factor of a sparse symmetric positive definite matrix.
 
     `width` unknowns, one after the other, are coupled alike: those of a node, which is ordered as
-    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them. A
-    matrix with a name takes the ordering of the last one of that name while it is as good.
-    `NotDefinite` if the matrix is not positive definite. Where a pivot is not positive, a `spring`
-    is added to its diagonal, in place, at the unknown that moves most in a displacement of negative
-    energy, up to `most` times. The unknowns are `held` then, first those of the last matrix of the
-    name.
+    a whole. CHOLMOD chooses the smallest of some orderings: `methods` is its number of them. The
+    `last` ordering is taken while it is as good, and this one kept there. `NotDefinite` if the
+    matrix is not positive definite. Where a pivot is not positive, a `spring` is added to its
+    diagonal, in place, at the unknown that moves most in a displacement of negative energy, up to
+    `most` times. The unknowns are `held` then, first those of the last matrix.
     """
 
     negative = 0
@@ -75,7 +71,7 @@ class SupernodalFactor:
         matrix: sp.csr_matrix,
         width: int = 1,
         methods: int = 0,
-        name: Hashable = None,
+        last: Ordering | None = None,
         spring: float = 0.0,
         most: int = 0,
     ) -> None:
@@ -86,8 +82,8 @@ class SupernodalFactor:
         arrays = [x.astype(np.int32, copy=False) for x in (rows.indptr, rows.indices)]
         arrays.append(rows.data.astype(np.float64, copy=False))
         figures = np.zeros(2, dtype=np.int64)
-        key = None if name is None else (name, size, width, methods, most)
-        ordering, entries, held = _orderings.find(key, size)
+        last, of = last or Ordering(), (size, width, methods, most)
+        ordering, entries, held = last.find(of)
         count = ctypes.c_int(held.size)
         held = np.append(held, np.empty(most, dtype=np.int32))
         limit = ctypes.c_double(_SIMILAR * entries)
@@ -98,9 +94,8 @@ class SupernodalFactor:
                 ctypes.c_double(spring), pointer(held), ctypes.byref(count), most,
             )  # fmt: skip
         self.held: Indices = held[: count.value]
-        if key is not None:
-            is_new = limit.value != _SIMILAR * entries
-            _orderings.keep(key, ordering, limit.value if is_new else entries, self.held)
+        is_new = limit.value != _SIMILAR * entries
+        last.keep(of, ordering, limit.value if is_new else entries, self.held)
         if not address:
             raise NotDefinite("a pivot is not positive")
         self._factor = ctypes.c_void_p(address)

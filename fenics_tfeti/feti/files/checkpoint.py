@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from mpi4py import MPI
@@ -23,7 +23,14 @@ from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
 
-_FORMAT = "fenics_tfeti checkpoint 3"
+_FORMAT = "fenics_tfeti checkpoint 4"
+# what each rank writes of its state, and the kinds of the arrays
+_ARRAYS = {
+    "multipliers": "numbers",
+    "numbers": "integers",
+    "contact_rows": "integers",
+    "tied_rows": "integers",
+}
 
 
 @dataclass(frozen=True)
@@ -38,12 +45,16 @@ class SavedState:
         Global numbers of the rows.
     contact_rows, tied_rows : integer arrays
         Local position of each contact row and tied row that this rank gave.
+    direct_faces : bool
+        Whether faces are solved directly from here on, since conjugate gradients were slow; the
+        same on all ranks.
     """
 
     multipliers: Vector
     numbers: Numbers
     contact_rows: Numbers
     tied_rows: Numbers
+    direct_faces: bool = False
 
     @staticmethod
     def of(iterate: Iterate, constraints: Constraints) -> SavedState:
@@ -53,6 +64,7 @@ class SavedState:
             constraints.layout.numbers,
             constraints.contacts.own_rows,
             constraints.tied.own_rows,
+            iterate.is_direct,
         )
 
     def for_rows(self, constraints: Constraints) -> Iterate | None:
@@ -65,7 +77,7 @@ class SavedState:
         same = all(np.array_equal(*pair) for pair in pairs)
         if not constraints.layout.comm.allreduce(same, MPI.LAND):
             return None
-        return Iterate(self.multipliers.copy())
+        return Iterate(self.multipliers.copy(), is_direct=self.direct_faces)
 
 
 def fingerprint(system: TornSystem) -> dict[str, str]:
@@ -124,10 +136,13 @@ def save_checkpoint(path: str | os.PathLike[str], system: TornSystem, state: Sav
     parts = comm.gather(vars(state))
     with raise_collectively(comm):
         if parts is not None:
-            arrays = {"ranks": np.array(comm.size)}
+            arrays = {
+                "ranks": np.array(comm.size),
+                "direct_faces": np.array(int(state.direct_faces)),
+            }
             arrays |= {f"fingerprint/{name}": np.array(text) for name, text in sums.items()}
             for rank, part in enumerate(parts):
-                arrays |= {f"{rank}/{name}": array for name, array in part.items()}
+                arrays |= {f"{rank}/{name}": part[name] for name in _ARRAYS}
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
@@ -164,9 +179,8 @@ def load_checkpoint(path: str | os.PathLike[str], system: TornSystem) -> SavedSt
                     f"distribution of its mesh: the {name} differ"
                 )
         prefix = f"{comm.rank}/"
-        kinds = {f.name: "integers" for f in fields(SavedState)} | {"multipliers": "numbers"}
-        arrays = {name: file.read(prefix + name, kind, (None,)) for name, kind in kinds.items()}
+        arrays = {name: file.read(prefix + name, kind, (None,)) for name, kind in _ARRAYS.items()}
         if arrays["multipliers"].size != arrays["numbers"].size:
             raise InputError(f"{path}: the multipliers and the numbers of their rows do not fit")
-        state = SavedState(**arrays)
+        state = SavedState(**arrays, direct_faces=bool(file.integer("direct_faces")))
     return state

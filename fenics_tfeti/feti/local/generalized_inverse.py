@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
@@ -15,6 +13,7 @@ from fenics_tfeti.feti.factors.cholesky import (
     sparse_cholesky,
     sparse_ldl,
 )
+from fenics_tfeti.feti.factors.supernodal import Ordering, Orderings
 from fenics_tfeti.feti.local.fixing_nodes import FIXING_NODES, fixing_nodes, unknowns_of_nodes
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.local.symmetry import SymmetryGroup
@@ -51,7 +50,7 @@ def _indefinite_factor(
     fixed: Numbers,
     package: str,
     gdim: int,
-    name: Hashable,
+    last: Ordering,
 ) -> SparseFactor:
     """Return the factor of K + rho Q of a tangent K, whose kernel R is a part of its rigid motions.
 
@@ -64,7 +63,7 @@ def _indefinite_factor(
     U = np.zeros((K.shape[0], rigid.shape[1] - R.shape[1]))
     U[fixed] = np.sqrt(K.diagonal().max()) * left[:, : U.shape[1]]
     try:
-        return downdated_cholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, name)
+        return downdated_cholesky(regularized_stiffness(K, rigid, fixed), U, package, gdim, last)
     except FactorizationError:
         return sparse_ldl(regularized_stiffness(K, R, fixed))
 
@@ -74,7 +73,8 @@ class GeneralizedInverse:
 
     R (n, k) is an orthonormal basis of the kernel of K_i, and `number` is M, the number of fixing
     nodes. The stiffness, by default that of the subdomain, may have unknowns beyond those of the
-    nodes. Symmetries leave K_i as it is; K_i^+ is to have them too. Raises `FactorizationError` if
+    nodes. Symmetries leave K_i as it is; K_i^+ is to have them too. `orderings` are those of
+    matrices before, and take in this one. Raises `FactorizationError` if
     the kernel of K_i is not R, or K_i is not positive semidefinite but all rigid body modes are to
     be its kernel.
     """
@@ -87,6 +87,7 @@ class GeneralizedInverse:
         number: int = FIXING_NODES,
         stiffness: sp.csr_matrix | None = None,
         symmetries: SymmetryGroup | None = None,
+        orderings: Orderings | None = None,
     ) -> None:
         gdim = subdomain.coordinates.shape[1]
         K = subdomain.stiffness if stiffness is None else stiffness
@@ -97,18 +98,19 @@ class GeneralizedInverse:
         if subdomain.is_rigid:
             return
         images = symmetries.nodes(gdim) if symmetries else None
-        # that of the tangents of this subdomain in other Newton steps, too
+        # of the tangents of this subdomain in Newton steps before
         name = hash(subdomain.nodes.tobytes())
+        last = ({} if orderings is None else orderings).setdefault(name, Ordering())
         x, is_definite = subdomain.coordinates_in_frame, subdomain.kernel == "rigid"
         held = R if is_definite else rigid_body_modes(x)
         try:
             fixed = unknowns_of_nodes(fixing_nodes(x, held, number, images), gdim)
             if is_definite:
                 regularized = regularized_stiffness(K, R, fixed)
-                self._factor = sparse_cholesky(regularized, package, width=gdim, name=name)
+                self._factor = sparse_cholesky(regularized, package, width=gdim, last=last)
             else:
                 self._factor = indefinite = _indefinite_factor(
-                    K, R, held, fixed, package, gdim, name
+                    K, R, held, fixed, package, gdim, last
                 )
                 self.negative = indefinite.negative
         except FactorizationError as error:

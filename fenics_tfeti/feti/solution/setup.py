@@ -44,6 +44,7 @@ from fenics_tfeti.feti.dual.preconditioner import (
     lumped_excess,
 )
 from fenics_tfeti.feti.factors.cholesky import choose_package
+from fenics_tfeti.feti.factors.supernodal import Orderings
 from fenics_tfeti.feti.local.congruence import (
     CongruenceClass,
     find_congruence_classes,
@@ -114,7 +115,11 @@ class LocalSetup:
 
 
 def factor_subdomains(
-    system: TornSystem, options: Options, local: LocalSetup, package: str
+    system: TornSystem,
+    options: Options,
+    local: LocalSetup,
+    package: str,
+    orderings: Orderings | None = None,
 ) -> list[GeneralizedInverse]:
     """Factor the regularised stiffness matrix of each class: K_i^+ (11.28). Collective.
 
@@ -129,6 +134,7 @@ def factor_subdomains(
                 package,
                 stiffness=K,
                 symmetries=_symmetries(system, options, congruent, K),
+                orderings=orderings,
             )
             for congruent, K in zip(local.classes, local.stiffness, strict=True)
         ]
@@ -260,6 +266,17 @@ class DualSetup:
         norm = self._norm_of(partial(deflation.part, self.F.packed))
         solves += deflation.solves
         return replace(self, norm=norm, deflation=deflation, deflation_solves=solves)
+
+    def for_solve(self, is_direct: bool = False) -> DualSetup:
+        """Return the set-up of one solve, which may go over to direct solvers of faces."""
+        if self.preconditioner is None:
+            return self
+        return replace(self, preconditioner=self.preconditioner.for_solve(is_direct))
+
+    @property
+    def is_direct(self) -> bool:
+        """Whether faces are solved directly."""
+        return self.preconditioner is not None and self.preconditioner.is_direct
 
     def without_deflation(self) -> DualSetup:
         """Return the set-up with F itself; its norm is estimated anew."""

@@ -7,10 +7,9 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
-from fenics_tfeti.feti.factors import supernodal
 from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.factors.compiled import supernodal_library
-from fenics_tfeti.feti.factors.supernodal import NotDefinite, SupernodalFactor, _Orderings
+from fenics_tfeti.feti.factors.supernodal import NotDefinite, Ordering, SupernodalFactor
 
 pytestmark = pytest.mark.skipif(
     "cholmod" not in available_packages() or supernodal_library()[0] is None,
@@ -113,29 +112,29 @@ def test_ordering_of_a_similar_matrix_serves_again():
     # two entries more
     other = A + sp.csr_matrix(([-0.1, -0.1], ([0, 900], [900, 0])), shape=A.shape)
     b = np.random.default_rng(0).standard_normal(A.shape[0])
-    library = supernodal_library()[0]
-    first = SupernodalFactor(library, A, 3, name="similar")
-    second = SupernodalFactor(library, other, 3, name="similar")
+    library, last = supernodal_library()[0], Ordering()
+    first = SupernodalFactor(library, A, 3, last=last)
+    second = SupernodalFactor(library, other, 3, last=last)
     np.testing.assert_array_equal(second._places, first._places)
     np.testing.assert_allclose(other @ second.solve(b), b, atol=1e-12)
 
 
 def test_ordering_of_another_matrix_does_not_serve():
-    library, name = supernodal_library()[0], "as large"
-    SupernodalFactor(library, grid(504, width=3), 3, name=name)
+    library, last = supernodal_library()[0], Ordering()
+    SupernodalFactor(library, grid(504, width=3), 3, last=last)
     A = grid(9, 8, 7, width=3)
-    assert SupernodalFactor(library, A, 3, name=name).entries == factor(A, 3).entries
+    assert SupernodalFactor(library, A, 3, last=last).entries == factor(A, 3).entries
 
 
 def test_springs_of_a_similar_matrix_serve_again():
-    library, size = supernodal_library()[0], 40
+    library, last, size = supernodal_library()[0], Ordering(), 40
     vectors = np.linalg.qr(np.random.default_rng(0).standard_normal((size, size)))[0]
     values = np.append(np.full(6, -0.01), np.linspace(1.0, 10.0, size - 6))
     A = sp.csr_matrix((vectors * values) @ vectors.T)
 
     def held(most: int) -> list[int]:
         matrix = A.copy()
-        factor = SupernodalFactor(library, matrix, name="springs", spring=10.0, most=most)
+        factor = SupernodalFactor(library, matrix, last=last, spring=10.0, most=most)
         added = 10.0 * np.bincount(factor.held, minlength=size)
         np.testing.assert_allclose((matrix - A).toarray(), np.diag(added), atol=1e-12)
         return factor.held.tolist()
@@ -145,11 +144,3 @@ def test_springs_of_a_similar_matrix_serve_again():
     springs = held(4)
     assert 4 < len(springs) <= 8
     assert held(4) == springs
-
-
-def test_orderings_are_forgotten_when_they_are_too_many(monkeypatch):
-    monkeypatch.setattr(supernodal, "_MOST", 3)
-    orderings = _Orderings()
-    for name in "aabcd":
-        orderings.keep(name, np.arange(2), 1.0, np.zeros(0, np.int32))
-    assert [orderings.find(name, 2)[1] for name in "abcd"] == [0.0, 0.0, 1.0, 1.0]
