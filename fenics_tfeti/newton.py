@@ -38,6 +38,8 @@ _MIXED_BELOW = 0.05
 _FORCING = 0.1
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
+# the remedy for steps that fail
+_SMALLER = "Take shorter load steps: problem.steps(set_load, begin, end) halves those that fail"
 
 
 @dataclass(frozen=True)
@@ -322,7 +324,7 @@ class NewtonIteration:
                 if length < _SHORTEST:
                     raise NotConverged(
                         f"Newton's method cannot go on: already after {2.0 * length:.1g} of the "
-                        f"step {error}. Halve the load step"
+                        f"step {error}. {_SMALLER}"
                     ) from None
 
     def _not_converged(self, state: NewtonState) -> str:
@@ -337,7 +339,7 @@ class NewtonIteration:
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement, law of friction broken by {end.friction:.1e}; newton_rtol is "
-            f"{self._options.newton_rtol:g}{unfinished}. Halve the load step"
+            f"{self._options.newton_rtol:g}{unfinished}. {_SMALLER}"
         )
 
     def _alternation(self, surface_nodes: Numbers) -> str:

@@ -38,15 +38,15 @@ def batches(count: int, size: int) -> Iterator[slice]:
         yield slice(first, min(first + size, count))
 
 
-def with_body_names(cell_tags: Any, names: Mapping[int, str]) -> Any:
-    """Let tags of cells carry the name of each tag that has one; return them."""
-    cell_tags.body_names = dict(names)
-    return cell_tags
+def with_tag_names(tags: Any, names: Mapping[int, str]) -> Any:
+    """Let tags of cells or facets carry the name of each tag that has one; return them."""
+    tags.tag_names = dict(names)
+    return tags
 
 
-def body_names(cell_tags: Any) -> Mapping[int, str]:
-    """Return the names that tags of cells carry, by tag."""
-    return getattr(cell_tags, "body_names", {})
+def tag_names(tags: Any) -> Mapping[int, str]:
+    """Return the names that tags carry, by tag."""
+    return getattr(tags, "tag_names", {})
 
 
 def dense_tags(tags: Any, size: int) -> Numbers:

@@ -14,6 +14,9 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dolfinx.fem import Function
+from ufl.core.expr import Expr
+
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
@@ -64,11 +67,22 @@ def as_direction(values: Any, what: str) -> Vector:
     return vector / length
 
 
+def is_function(value: Any, what: str, or_else: str = "") -> bool:
+    """Tell whether a value is a function of points x (3, n); refuse what UFL can call."""
+    if isinstance(value, Expr):
+        kind = "Function" if isinstance(value, Function) else "UFL expression"
+        raise InputError(
+            f"{what} is a {kind}, to which points x (3, n) cannot be given. Write it as a function "
+            f"of x, such as lambda x: 0.2 + 0.01 * x[0]{or_else}"
+        )
+    return callable(value)
+
+
 def check_field(
     field: Any, what: str, as_vector: Callable[[Any, str], Vector] = as_coordinates
 ) -> None:
     """Check a vector, unless it is a function or left out."""
-    if not (field is None or callable(field)):
+    if not (field is None or is_function(field, what)):
         as_vector(field, what)
 
 

@@ -17,11 +17,11 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.topology import (
-    body_names,
     cell_facets,
     connected_labels,
     global_numbers,
     owned_cells,
+    tag_names,
     tags_of_cells,
 )
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
@@ -78,7 +78,7 @@ def find_bodies(
     boxes = _bounding_boxes(domain, cells, first, number[present], bodies)
     labels = [f"body {k}" for k in range(bodies)]
     if tag_of_body is not None:
-        known = body_names(cell_tags)
+        known = tag_names(cell_tags)
         for k, tag in enumerate(tag_of_body.tolist()):
             labels[k] += f" ({known.get(tag, f'cell tag {tag}')})"
     names = [f"{label} in {box}" for label, box in zip(labels, boxes, strict=True)]

@@ -29,13 +29,13 @@ from fenics_tfeti.fem.io.tagged_mesh import (
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.topology import (
     NO_TAG,
-    body_names,
     cells_of_facets,
     connected_labels,
     dense_tags,
     distinct_rows,
     facet_corners,
     owned_cells,
+    tag_names,
 )
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -156,7 +156,7 @@ def _gather(tagged: TaggedMesh) -> WholeMesh | None:
         cell_tag[order],
         tags_by_corners(cell, nodes, positions(distinct, corners), values)[0],
         tagged.names,
-        dict(body_names(tagged.cell_tags)),
+        dict(tag_names(tagged.cell_tags)),
     )
 
 

@@ -16,7 +16,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.tagged_mesh import Names, TaggedMesh, sorted_tags
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
-from fenics_tfeti.fem.topology import cells_of_facets, with_body_names
+from fenics_tfeti.fem.topology import cells_of_facets, with_tag_names
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
@@ -106,7 +106,7 @@ def boxes(comm: MPI.Comm, bodies: Sequence[Box], cell: str = "hexahedron") -> Ta
     cell_tags = sorted_tags(mesh, mesh.topology.dim, np.arange(len(number)), body_of_cell)
     facet_tags = sorted_tags(mesh, mesh.topology.dim - 1, np.arange(0), np.arange(0))
     names = {body.name: k for k, body in enumerate(bodies, start=1) if body.name}
-    with_body_names(cell_tags, {tag: name for name, tag in names.items()})
+    with_tag_names(cell_tags, {tag: name for name, tag in names.items()})
     return TaggedMesh(mesh, cell_tags, facet_tags, Names(names))
 
 

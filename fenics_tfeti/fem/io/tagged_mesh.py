@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh, meshtags
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
-from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_body_names
+from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_tag_names
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
@@ -38,7 +38,7 @@ class TaggedMesh:
         The tag of each cell, usually the number of its body. They carry the names of the bodies,
         which reports and messages have then.
     facet_tags : dolfinx.mesh.MeshTags
-        The tags of facets; those without a tag are left out.
+        The tags of facets; those without a tag are left out. They carry the names of the surfaces.
     names : dict of str to int
         Name -> tag of cells or facets; the same on all ranks.
 
@@ -121,6 +121,11 @@ def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
         sorted_tags(mesh, d, tagged := np.flatnonzero(tag != NO_TAG), tag[tagged])
         for d, tag in ((dim, cell_tag), (dim - 1, facet_tag))
     )
+    bodies = set(share.body_names.values())
+    surfaces = {tag: name for name, tag in share.names.items() if name not in bodies}
     return TaggedMesh(
-        mesh, with_body_names(cell_tags, share.body_names), facet_tags, Names(share.names)
+        mesh,
+        with_tag_names(cell_tags, share.body_names),
+        with_tag_names(facet_tags, surfaces),
+        Names(share.names),
     )

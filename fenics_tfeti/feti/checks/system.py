@@ -330,7 +330,9 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
     if skew > ZERO * largest:
         raise InputError(
             f"the bilinear form is not symmetric: {what} has |K - K'| = {skew:.3e} where |K| = "
-            f"{largest:.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u)"
+            f"{largest:.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u). "
+            "Take the symmetric part of a tangent with pressures that follow the surface: "
+            "J = 0.5 * (dF + ufl.adjoint(dF)) with dF = ufl.derivative(F, u, du)"
         )
     bad = np.flatnonzero(~(K.diagonal() > 0.0))
     if bad.size:

@@ -9,6 +9,8 @@ import pytest
 import scenes
 from scenes import MASTER, SLAVE
 
+import ufl
+
 from fenics_tfeti import (
     Along,
     ContactPair,
@@ -23,9 +25,11 @@ from fenics_tfeti import (
     Tresca,
 )
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
+from fenics_tfeti.fem.topology import with_tag_names
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
-TAGS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
+BEAMS = scenes.two_beams(MPI.COMM_SELF, "triangle", 2)
+TAGS = BEAMS.facet_tags
 PAIR = ContactPair(TAGS, SLAVE, MASTER, name="joint")
 OBSTACLE = RigidObstacle(TAGS, SLAVE, FLOOR)
 TIE = TiedPair(TAGS, SLAVE, MASTER)
@@ -88,3 +92,43 @@ def test_what_is_no_bound_and_no_coefficient(value):
 def test_what_are_no_partners(kind, arguments, message):
     with pytest.raises(InputError, match=f"{kind.__name__}: {message}"):
         kind(*arguments)
+
+
+EXPRESSION = 0.2 + 0.1 * ufl.SpatialCoordinate(BEAMS.mesh)[0]
+
+
+@pytest.mark.parametrize(
+    ("describe", "what"),
+    [
+        (Coulomb, "Coulomb: the coefficient"),
+        (Tresca, "Tresca: the slip_bound"),
+        (Along, "Along: the direction"),
+        (Mapped, "Mapped: the mapping"),
+        (lambda x: replace(PAIR, initial_gap=x), "joint: initial_gap"),
+        (lambda x: replace(PAIR, normal=x), "joint: the normal"),
+        (lambda x: replace(OBSTACLE, obstacle=x), "RigidObstacle: the obstacle"),
+        (lambda x: replace(OBSTACLE, friction=Coulomb(1.0), displacement=x), ".*'s displacement"),
+    ],
+)
+def test_expressions_of_ufl_are_no_functions_of_points(describe, what):
+    """They can be called, too."""
+    assert callable(EXPRESSION)
+    with pytest.raises(
+        InputError, match=f"^{what} is a UFL expression, .* such as lambda x"
+    ) as told:
+        describe(EXPRESSION)
+    assert ("f.interpolate(Expression(" in str(told.value)) == (describe in (Coulomb, Tresca))
+
+
+@pytest.mark.parametrize(
+    ("slave", "message"),
+    [
+        ("foot of stamp", r'parts.names\["foot of stamp"\], .*; the names are \'base\', \'foot of'),
+        ("foot", "No surface has this name; the names are 'base', 'foot of stamp'$"),
+    ],
+)
+def test_name_of_a_surface_in_place_of_its_number(slave, message):
+    tags = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
+    with_tag_names(tags, {SLAVE: "foot of stamp", MASTER: "base"})
+    with pytest.raises(InputError, match=f"the tag of the slave is {slave!r}; .*{message}"):
+        ContactPair(tags, slave, MASTER)

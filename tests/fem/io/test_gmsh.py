@@ -11,7 +11,7 @@ from joined_bodies import measure
 from msh_files import CELLS, SQUARE, TETRAHEDRON, write_cell, write_msh
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.topology import cells_of_facets, facet_corners
+from fenics_tfeti.fem.topology import cells_of_facets, facet_corners, tag_names
 from fenics_tfeti.io import read_msh
 
 gmsh = pytest.importorskip("gmsh")
@@ -34,6 +34,8 @@ def test_groups_become_tags_of_cells_and_facets(cell, tmp_path):
 def test_names_map_to_tags(tmp_path):
     tagged = read_msh(write_cell(tmp_path / "cell.msh", "tetrahedron"), MPI.COMM_SELF)
     assert tagged.names == {"body": 4, "support": 9}
+    assert tag_names(tagged.cell_tags) == {4: "body"}
+    assert tag_names(tagged.facet_tags) == {9: "support"}
 
 
 def test_name_of_two_tags_is_left_out_with_a_warning(tmp_path, caplog):

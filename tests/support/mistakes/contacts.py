@@ -7,7 +7,7 @@ from scenes import CLAMPED, MASTER, SLAVE, at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, Plane, RigidObstacle, Sphere
+from fenics_tfeti import ContactPair, Coulomb, Plane, RigidObstacle, Sphere
 from mistakes.catalogue import beams, other_beams, posed, solved, table
 
 
@@ -95,6 +95,10 @@ MISTAKES = table(
     ("contacts that are a number", posed(contacts=SLAVE)),
     ("wrong contact before a later step", wrong_before_a_later_step),
     ("obstacle that is no function", above(0.0)),
+    (
+        "friction that is an expression",
+        posed(contacts=lambda s: [ContactPair(s.facet_tags, 1, 2, friction=Coulomb(radius(s)))]),
+    ),
     ("weight that is negative", weighted(lambda s: -2 * ufl.pi * radius(s))),
     ("weight that is negative somewhere", weighted(lambda s: radius(s) - 1.4)),
     ("weight that is zero", weighted(0.0)),

@@ -17,6 +17,7 @@ from fenics_tfeti.fem.user_data import (
     as_direction,
     check_field,
     check_positive,
+    is_function,
     is_integer,
     is_number,
 )
@@ -88,7 +89,7 @@ class ContactPair(SurfacePair):
         gap = self.initial_gap
         is_word = isinstance(gap, str) and gap in ("geometric", "touching")
         check_value(
-            is_word or callable(gap) or is_number(gap),
+            is_word or is_function(gap, f"{label}: initial_gap") or is_number(gap),
             f"{label}: initial_gap",
             gap,
             "'geometric', 'touching', a number [m] or a function x (3, n) -> (n,)",
@@ -163,7 +164,7 @@ class RigidObstacle:
                 f"{label}: the obstacle has a body, which moves it: leave its displacement out. "
                 "Prescribed components are the body's translation and rotation"
             )
-        if not callable(self.obstacle):
+        if not is_function(self.obstacle, f"{label}: the obstacle"):
             raise wrong_type(
                 f"{label}: the obstacle",
                 self.obstacle,

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import check_value, wrong_type
-from fenics_tfeti.fem.user_data import ScalarField, is_number
+from fenics_tfeti.fem.user_data import ScalarField, is_function, is_number
 
 NodalValue: TypeAlias = ScalarField | Any  # or a Function
 
@@ -36,7 +36,7 @@ class Tresca:
     slip_bound: NodalValue
 
     def __post_init__(self) -> None:
-        _check_nodal_value(self.slip_bound, "slip_bound")
+        _check_nodal_value(self.slip_bound, "Tresca: the slip_bound")
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Coulomb:
     coefficient: NodalValue
 
     def __post_init__(self) -> None:
-        _check_nodal_value(self.coefficient, "coefficient")
+        _check_nodal_value(self.coefficient, "Coulomb: the coefficient")
 
 
 FrictionLaw: TypeAlias = Tresca | Coulomb
@@ -72,8 +72,14 @@ def check_friction(law: Any, label: str) -> None:
 
 
 def _check_nodal_value(value: Any, label: str) -> None:
+    interpolated = (
+        ", or interpolate it into a scalar Function of degree 1: f = Function(functionspace(mesh, "
+        "('Lagrange', 1))), f.interpolate(Expression(...))"
+    )
     check_value(
-        callable(value) or isinstance(value, Function) or (is_number(value) and value >= 0.0),
+        isinstance(value, Function)
+        or is_function(value, label, interpolated)
+        or (is_number(value) and value >= 0.0),
         label,
         value,
         "a finite number, at least 0, a function x (3, n) -> (n,) or a scalar Function of degree 1",

@@ -13,7 +13,9 @@ from fenics_tfeti.fem.user_data import (
     VectorField,
     as_direction,
     as_points,
+    check_field,
     check_positive,
+    is_function,
 )
 from fenics_tfeti.typing import Vector
 
@@ -64,8 +66,7 @@ class Along:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        if not callable(self.direction):
-            as_direction(self.direction, "Along: the direction")
+        check_field(self.direction, "Along: the direction", as_direction)
         _check_tolerance(self)
 
 
@@ -95,8 +96,8 @@ class Mapped:
     tolerance: float = 0.1
 
     def __post_init__(self) -> None:
-        expected = "a function x (3, n) -> (3, n)"
-        check_value(callable(self.mapping), "Mapped: the mapping", self.mapping, expected)
+        what, expected = "Mapped: the mapping", "a function x (3, n) -> (3, n)"
+        check_value(is_function(self.mapping, what), what, self.mapping, expected)
         _check_tolerance(self)
 
 

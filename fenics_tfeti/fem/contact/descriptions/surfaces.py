@@ -9,6 +9,7 @@ from typing import Any
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.topology import tag_names
 from fenics_tfeti.fem.user_data import is_integer
 
 
@@ -105,6 +106,21 @@ def check_tags(contact: Any, label: str, *roles: str) -> None:
         if not is_integer(tag):
             raise InputError(
                 f"{label}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
-                "values of facet_tags. Surfaces have numbers, not names; to use several tags, "
-                "join them under one"
+                f"values of facet_tags. {_remedy(tag, sorted(tag_names(facet_tags).values()))}"
             )
+
+
+def _remedy(tag: Any, names: Sequence[str]) -> str:
+    """Return what gives the number of a surface in place of a tag; `names` are all names."""
+    if not isinstance(tag, str):
+        return "To use several tags, join them under one"
+    if not names:
+        return "Surfaces have numbers, not names"
+    listed = ", ".join(repr(name) for name in names)
+    if tag not in names:
+        return f"No surface has this name; the names are {listed}"
+    quoted = '"' + tag + '"'
+    return (
+        f"The number of this surface is parts.names[{quoted}], parts being what read_msh has "
+        f"returned; the names are {listed}"
+    )
