@@ -139,7 +139,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._shear_over_bulk = 1.0 / largest  # mu / kappa of the least compressible subdomain
 
     def solve(
-        self, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
+        self, *, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
     ) -> Function:
         """Find the equilibrium at the present loads and supports, starting from `u`.
 

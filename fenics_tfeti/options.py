@@ -90,6 +90,7 @@ class NewtonOptions(ContactOptions):
     >>> NonlinearContactProblem(F, u, options={"newton_rtol": 1e-8})  # doctest: +SKIP
     """
 
+    solver: Options = field(default_factory=lambda: Options(rtol=1e-3))
     newton_rtol: float = 1e-6
     newton_max_it: int = 30
     newton_step_limit: float = 0.3
@@ -122,14 +123,13 @@ def contact_options(kind: type[_Kind], options: Mapping[str, Any] | None, prefix
             f"options is a {type(options).__name__}; expected a dictionary of names and values"
         )
     merged = {**(options or {}), **_command_line(prefix)}
-    if kind is NewtonOptions:
-        merged = {"rtol": 1e-3, **merged}
     contact = [f.name for f in fields(kind) if f.name != "solver"]
     solver = [f.name for f in fields(Options)]
     refuse_unknown(merged, [*solver, *contact])
-    solver_options = convert(Options, {k: v for k, v in merged.items() if k in solver})
-    contact_values = convert(kind, {k: v for k, v in merged.items() if k in contact})
-    return replace(contact_values, solver=solver_options)
+    defaults = kind()
+    chosen = convert(defaults.solver, {k: v for k, v in merged.items() if k in solver})
+    defaults = convert(defaults, {k: v for k, v in merged.items() if k in contact})
+    return replace(defaults, solver=chosen)
 
 
 def _command_line(prefix: str) -> dict[str, str]:

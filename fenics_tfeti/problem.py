@@ -156,6 +156,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def solve(
         self,
+        *,
         coarse: ContactProblem | None = None,
         monitor: MonitorFunction | None = None,
         checkpoint: str | os.PathLike[str] | None = None,

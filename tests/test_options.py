@@ -1,6 +1,13 @@
 """Options from the command line, and scripts that have none: run inside other programs."""
 
+import inspect
+
+import pytest
 from new_process import run_python
+
+from fenics_tfeti import ContactProblem, InputError, NonlinearContactProblem
+from fenics_tfeti.feti import Options
+from fenics_tfeti.options import NewtonOptions, contact_options
 
 SOLVE = """
 from mpi4py import MPI
@@ -37,3 +44,33 @@ def test_command_line_comes_before_the_script_and_flags_print_what_they_say():
     assert lines[-1] == "True 0.0001 2.0"
     for words in ("discretisation", "rows active", "force on slave", "result  converged"):
         assert words in printed
+
+
+def test_accuracy_of_linearised_problems_by_default():
+    """Whether the options are made from a dictionary or not."""
+    assert NewtonOptions().solver.rtol == 1e-3
+    assert contact_options(NewtonOptions, {"newton_max_it": 7}, "none_") == NewtonOptions(
+        newton_max_it=7
+    )
+    assert contact_options(NewtonOptions, {"rtol": 1e-5}, "none_").solver == Options(rtol=1e-5)
+
+
+@pytest.mark.parametrize("problem", [ContactProblem, NonlinearContactProblem])
+def test_arguments_of_a_solve_have_names(problem):
+    """The first one of `ContactProblem` is not that of `NonlinearContactProblem`."""
+    _, *arguments = inspect.signature(problem.solve).parameters.values()
+    assert {argument.kind for argument in arguments} == {inspect.Parameter.KEYWORD_ONLY}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"smalbe_eta": 1.5}, "'smalbe_eta' is 1.5, it has to be above 0 and at most 1"),
+        ({"rtol": 1.0}, "'rtol' is 1.0, it has to be above 0 and below 1"),
+        ({"max_products": 0}, "'max_products' is 0, it has to be above 0"),
+    ],
+)
+def test_range_of_a_number(options, message):
+    with pytest.raises(InputError, match=f"{message}$"):
+        Options(**options)
+    assert Options(smalbe_eta=1.0).smalbe_eta == 1.0

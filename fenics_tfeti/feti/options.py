@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from dataclasses import dataclass, fields, replace
+from math import isinf
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.coarse.factor import CoarseSolverKind
@@ -16,7 +17,10 @@ from fenics_tfeti.feti.dual.preconditioner import PreconditionerKind
 from fenics_tfeti.feti.factors.cholesky import Package
 from fenics_tfeti.qp.proportioning import Expansion
 
-T = TypeVar("T")
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+T = TypeVar("T", bound="DataclassInstance")
 
 
 @dataclass(frozen=True)
@@ -40,7 +44,7 @@ class Options:
     dual_operator : {"auto", "implicit", "explicit"}
         F by sparse solves, or by a dense matrix between the interface unknowns of each class of
         congruent subdomains; auto counts the bytes that either moves.
-    factor : {"auto", "cholmod", "mumps"}
+    factor : {"auto", "cholmod", "rslab", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that is available.
     coarse_solver : {"auto", "redundant", "distributed", "iterative"}
         Factors of coarse matrices on every rank, or shared by some ranks with MUMPS, of which auto
@@ -100,15 +104,16 @@ class Options:
             check_range(self, name, 0, float("inf"))
         for name in ("smalbe_rho", "smalbe_M0", "mprgp_gamma"):
             check_range(self, name, 0.0, float("inf"))
-        check_range(self, "smalbe_eta", 0.0, 1.0 + 1e-12)
+        check_range(self, "smalbe_eta", 0.0, 1.0, closed=True)
         check_range(self, "mprgp_alpha", 0.0, 2.0)
 
 
-def check_range(options: Any, name: str, low: float, high: float) -> None:
-    """Raise an `InputError` unless an option is strictly between two numbers."""
+def check_range(options: Any, name: str, low: float, high: float, closed: bool = False) -> None:
+    """Raise an `InputError` unless an option is between two numbers, or at a `closed` upper end."""
     value = getattr(options, name)
-    if not low < value < high:
-        raise InputError(f"option {name!r} is {value}, it has to be between {low} and {high}")
+    if not (low < value < high or (closed and value == high)):
+        limit = "" if isinf(high) else f" and {'at most' if closed else 'below'} {high:g}"
+        raise InputError(f"option {name!r} is {value}, it has to be above {low:g}{limit}")
 
 
 def refuse_unknown(options: Mapping[str, Any], names: list[str]) -> None:
@@ -144,19 +149,20 @@ def parse_options(options: Mapping[str, Any]) -> Options:
     0.0001
     """
     refuse_unknown(options, [f.name for f in fields(Options)])
-    return convert(Options, options)
+    return convert(Options(), options)
 
 
-def convert(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Make a data class of options from names that it has and values of any kind.
+def convert(defaults: T, values: Mapping[str, Any]) -> T:
+    """Return options with some changed, by names that they have and values of any kind.
 
     Raises
     ------
     InputError
         For a value of the wrong kind or out of range.
     """
-    hints = get_type_hints(kind)
-    return kind(**{name: _convert(name, value, hints[name]) for name, value in values.items()})
+    hints = get_type_hints(type(defaults))
+    new = {name: _convert(name, value, hints[name]) for name, value in values.items()}
+    return replace(defaults, **new)
 
 
 def _convert(name: str, value: Any, kind: Any) -> Any:

@@ -113,7 +113,7 @@ class TornSolver:
     options : Options, optional
         Tolerances and methods.
     timer : Timer, optional
-        To add the times of phases to.
+        To add the times of phases to; by default each report has those since the one before.
     previous : TornSolver, optional
         Solver of an earlier, similar system with the same options.
     guess : ContactGuess, optional
@@ -158,6 +158,7 @@ class TornSolver:
         self.system = system
         self.options = options or Options()
         self.timer = timer or Timer()
+        self._has_own_timer = timer is None
         _given_by_all(system.comm, "start", start, "load_checkpoint gives each rank its part")
         with raise_collectively(system.comm):
             package = choose_factor(self.options)
@@ -362,6 +363,8 @@ class TornSolver:
         outcome = iterate_slip_bounds(context, self._start, balance)
         self._start = replace(outcome.start, is_direct=setup.is_direct)
         report = build_report(self.system, context, outcome, list(self.reused))
+        if self._has_own_timer:
+            self.timer.restart()
         # a further solve spends nothing on the set-up
         self.reused = ["factors", "coarse problem", "norm", "multipliers"]
         self._norm_products, self._deflation_solves = self.setup.norm.products, 0

@@ -325,11 +325,12 @@ def _combinations(A: Any, d: Vector) -> tuple[Any, Vector, Vector]:
     """Return combinations Bx = b of the rows of Ax = d, and lengths to divide them by.
 
     In a dense B, divided, they are orthonormal: what only small columns resist is separated from
-    the rest. A sparse B is A.
+    the rest. A sparse B has the rows of A that do not vanish.
     """
     if sp.issparse(A):
         lengths = np.sqrt(np.asarray(A.multiply(A).sum(axis=1)).ravel())
-        return A, d, np.where(lengths > 0.0, lengths, 1.0)
+        kept = lengths > 0.0
+        return (A, d, lengths) if kept.all() else (A.tocsr()[kept], d[kept], lengths[kept])
     # the factor has as few columns as rows
     R = np.asarray(np.linalg.qr(A.T, mode="r"))
     U, lengths, _ = np.linalg.svd(R.T, full_matrices=False)

@@ -157,3 +157,12 @@ def test_further_solves_of_a_solver_spend_nothing_on_the_set_up():
     assert first.products["norm"] > 0
     assert second.products["norm"] == second.products["deflation"] == 0
     assert (first.reused, second.reused[-1]) == ([], "multipliers")
+
+
+def test_seconds_of_a_report_are_those_of_its_solve():
+    solver = TornSolver(column())
+    first, second = (solver.solve().report.seconds for _ in range(2))
+    assert "factorisation" in first and "factorisation" not in second
+    for seconds in (first, second):
+        phases = [time for name, time in seconds.items() if name != "total"]
+        assert sum(phases) == pytest.approx(seconds["total"], rel=1e-12)

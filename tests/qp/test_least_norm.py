@@ -228,3 +228,14 @@ def test_load_without_springs_moves_along_itself(kind):
     load = np.array([1.0, -2.0])
     z = projected_newton(kind(np.zeros((0, 2))), np.zeros(0), load=load)
     np.testing.assert_allclose(z / np.linalg.norm(z), load / np.linalg.norm(load), rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", [np.asarray, sp.csr_matrix])
+@pytest.mark.parametrize("last", [0.0, 2.0])
+def test_rows_that_vanish_balance_nothing(form, last):
+    """Their part of the right-hand side is left, in dense and sparse matrices."""
+    C = form([[0.0, 0.0, 0.0], [0.0, last, 0.0]])
+    x, residual = least_norm(C, np.array([1.0, 4.0]))
+    expected = 0.0 if last == 0.0 else 4.0 / last
+    np.testing.assert_allclose(x, [0.0, expected, 0.0], atol=1e-12)
+    np.testing.assert_allclose(residual, [1.0, 4.0 - last * expected], atol=1e-12)

@@ -380,12 +380,23 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
     ContactFields or FrictionFields
         Named tuples of functions; with those of friction where a contact has friction.
 
+    Raises
+    ------
+    InputError
+        On all ranks, if results are gathered on a rank without all of their nodes.
+
     Examples
     --------
     >>> pressure, force, gap, opening = contact_fields(V, problem.results)  # doctest: +SKIP
     >>> opening = contact_fields(V, problem.results).opening  # doctest: +SKIP
     """
     contacts = [result for result in results if isinstance(result, ContactResult)]
+    with raise_collectively(space.mesh.comm):
+        if any(contact.dofs.min(initial=0) < 0 for contact in contacts):
+            raise InputError(
+                "contact_fields: the results are gathered, with nodes of other ranks. Pass "
+                "problem.results, which has those of this rank"
+            )
     scalar = _compat.lagrange_space(space.mesh, 1)
     # some versions of dolfinx compile no form of a field whose name has spaces
     names = ("contact_pressure", "initial_gap", "opening", "friction_state")

@@ -306,3 +306,16 @@ def test_fields_of_the_user_may_have_spaces_in_their_names():
     np.testing.assert_allclose(normal_forces(problem), scene.total_forces, rtol=1e-8)
     assert von_mises(scene.mesh, young * ufl.Identity(3)).x.array == pytest.approx(0.0, abs=1e-3)
     assert young.name == "Young's modulus"
+
+
+@pytest.mark.ranks(2)
+def test_gathered_results_have_the_numbers_of_this_rank_alone():
+    """Fields are made of the results of the ranks, not of gathered ones, on several ranks."""
+    problem = pressed_block(MPI.COMM_WORLD, "quadrilateral", 6).problem()
+    problem.solve()
+    own = problem.results[0]
+    whole = own.gather()
+    np.testing.assert_array_equal(np.sort(whole.dofs[whole.dofs >= 0]), np.sort(own.dofs))
+    assert set(whole.nodes[whole.dofs >= 0]) == set(own.nodes)
+    with pytest.raises(InputError, match="the results are gathered, .* Pass problem.results"):
+        contact_fields(problem.space, [whole])

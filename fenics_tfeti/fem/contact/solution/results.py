@@ -14,7 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.summary import joined_summary
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame
 from fenics_tfeti.feti.report.resultants import ContactForces
-from fenics_tfeti.parallel import concatenate_ranks
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -72,6 +72,7 @@ class _SurfaceResult:
 
     entry: ContactEntry
     nodes: Numbers
+    dofs: Numbers
     comm: MPI.Intracomm
 
     @property
@@ -90,9 +91,15 @@ class _SurfaceResult:
         return self.entry.friction_work
 
     def gather(self) -> Self:
-        """Return the nodes of all ranks, by node number, on every rank. Collective."""
+        """Return the nodes of all ranks, by node number, on every rank. Collective.
+
+        The `dofs` of nodes of other ranks are -1.
+        """
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
-        return replace(_gathered(self, self.comm, order), comm=MPI.COMM_SELF)
+        first, total = first_of_rank(self.comm, self.dofs.size)
+        dofs: Numbers = np.full(total, -1)
+        dofs[first : first + self.dofs.size] = self.dofs
+        return replace(_gathered(self, self.comm, order), dofs=dofs[order], comm=MPI.COMM_SELF)
 
 
 @dataclass(frozen=True)
@@ -149,7 +156,7 @@ class ContactResult(_SurfaceResult):
         `friction_work` are properties too.
     nodes, dofs : (k,) integer array
         Global nodes of the displacement's space, and their numbers on this rank: the blocks of
-        degrees of freedom.
+        degrees of freedom. After `gather` those of other ranks are -1.
     coordinates : (k, 3) array
         [m].
     gap : (k,) array
