@@ -19,6 +19,7 @@ import nbformat.v4 as notebooks
 DOCS = Path(__file__).parent
 DEMOS = DOCS.parent / "demos"
 PAGES = DOCS / "demos"
+MESHES = DOCS.parent / "meshes"
 RUNS = DOCS / "runs"
 
 # A notebook has no file name: it is run in the project's folder.
@@ -87,6 +88,7 @@ def page_of(name: str, source: str) -> str:
         summary,
         f"{{download}}`{name}.py <../../demos/{name}.py>`, as a notebook "
         f"{{download}}`{name}.ipynb <notebooks/{name}.ipynb>`",
+        *_meshes_of(source),
         text.strip("\n"),
     ]
     # an animation, then the pictures
@@ -97,6 +99,20 @@ def page_of(name: str, source: str) -> str:
         parts.append(cell.content if cell.kind == "text" else code)
     parts += ["## Output", f"```{{literalinclude}} ../runs/{name}/output.txt\n:language: text\n```"]
     return "\n\n".join(parts) + "\n"
+
+
+def _meshes_of(source: str) -> list[str]:
+    """Return a line with the files in `meshes` that a demo reads or imports; none without any."""
+    # names of meshes as words, or with a part that is filled in
+    patterns = re.findall(r"\"(\w+)(?:\.msh)?\"", source)
+    patterns += [re.sub(r"{\w+}", "*", name) for name in re.findall(r"\"(\w+{\w+})\.msh", source)]
+    found = [path for name in patterns for path in sorted(MESHES.glob(f"{name}.msh"))]
+    scripts = [MESHES / name for name in re.findall(r"meshes/(\w+\.py)", source)]
+    scripts += [path for path in (path.with_suffix(".py") for path in found) if path.is_file()]
+    paths = dict.fromkeys([*found, *scripts, *([MESHES / "gmsh_files.py"] if scripts else [])])
+    links = [f"{{download}}`{path.name} <../../meshes/{path.name}>`" for path in paths]
+    where = "The script looks for its meshes in the folder `meshes` beside its own"
+    return [f"{where}: {', '.join(links)}."] if links else []
 
 
 def notebook_of(source: str) -> str:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,6 +32,9 @@ except ImportError as error:
 # implementation reaches 1e9 to 3e9 on one core, others 1e10 and more.
 _SLOW = 4e9
 
+# Variables that set the number of threads of BLAS, the first one before the others.
+_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
+
 # Libraries of BLAS by their file names, and what to call them.
 _LIBRARIES = {"openblas": "OpenBLAS", "mkl": "MKL", "blis": "BLIS", "atlas": "ATLAS"}
 
@@ -42,6 +46,10 @@ def facts(comm: MPI.Intracomm) -> dict[str, str]:
     names = {"petsc": "PETSc", "mpi": "MPI", "numpy": "NumPy", "scipy": "SciPy"}
     entries |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
     entries["BLAS"] = comm.bcast(blas())
+    processes = comm.Split_type(MPI.COMM_TYPE_SHARED).size
+    load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
+    cores = os.cpu_count() or 1
+    entries["threads"] = comm.bcast(threads(processes, cores, load, os.environ))
     packages = "; ".join(map(describe_package, available_packages()))
     entries["sparse factors"] = comm.bcast(packages) or "none: install PETSc with CHOLMOD or MUMPS"
     extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
@@ -69,6 +77,20 @@ def blas(rate: float | None = None, loaded: Sequence[str] | None = None) -> str:
         names = ["reference BLAS"]
     text = f"{' and '.join(names) or 'unknown library'}, {rate / 1e9:.1f} Gflop/s"
     return text if rate >= _SLOW else f"{text} (slow{remedy or ': is the processor busy?'})"
+
+
+def threads(processes: int, cores: int, load: float, environment: Mapping[str, str]) -> str:
+    """Return how many threads BLAS takes in each process of a machine, and whether they are many.
+
+    The load is the number of processes that use the machine's cores already.
+    """
+    given = (environment.get(name, "").split(",")[0] for name in _THREADS)
+    number = next((int(text) for text in given if text.isdigit()), cores)
+    busy = round(load)
+    text = f"{number} for BLAS in each process, {cores} cores, {busy} of them busy"
+    if number > 1 and number * processes + busy > cores:
+        text += " (too many: threads wait for each other where cores are busy. OMP_NUM_THREADS=1)"
+    return text
 
 
 def _rate() -> float:

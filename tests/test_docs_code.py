@@ -232,30 +232,9 @@ def test_all_pages_with_code_are_run():
 
 def test_readme(folder):
     """A block stands on another one, which stands on the plane: both contacts carry one force."""
-    CLAMPED, BOTTOM, TOP, GROUND = 1, 5, 6, 7
-    blocks = [Box((0, 0, 0), (2, 2, 1), (2, 2, 1)), Box((0.5, 0.5, 1), (1.5, 1.5, 2), (3, 3, 3))]
-    bodies = boxes(MPI.COMM_SELF, blocks)
-    markers = [(GROUND, 0.0, 1), (TOP, 1.0, 1), (BOTTOM, 1.0, 2), (CLAMPED, 2.0, 2)]
-    tags = tag_facets(
-        bodies.mesh,
-        [(tag, lambda x, z=z: np.isclose(x[2], z), body) for tag, z, body in markers],
-        bodies.cell_tags,
-    )
-    V = displacement_space(bodies.mesh)
-    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
-    strain = ufl.sym(ufl.grad(v))
-    dofs = fem.locate_dofs_topological(V, 2, tags.find(CLAMPED))
-    given = {
-        "a": ufl.inner(ufl.sym(ufl.grad(u)), strain) * ufl.dx,
-        "L": ufl.inner(fem.Constant(bodies.mesh, np.zeros(3)), v) * ufl.dx,
-        "clamped": fem.dirichletbc(np.array([0.0, 0.0, -0.01]), dofs, V),
-        "facet_tags": tags,
-    }
-    report = run_blocks((ROOT / "README.md").read_text(), given)["problem"].report
-    assert report.contacts[0].normal_force > 0.0
-    assert report.contacts[1].normal_force == pytest.approx(
-        report.contacts[0].normal_force, rel=1e-8
-    )
+    report = run_blocks((ROOT / "README.md").read_text())["problem"].report
+    joint, floor = (contact.normal_force for contact in report.contacts)
+    assert joint == pytest.approx(floor, rel=1e-6)
     assert [path.name for path in folder.iterdir()] == ["report.html"]
 
 

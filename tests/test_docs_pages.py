@@ -1,6 +1,7 @@
 """Demos as pages and notebooks; the interface that they use; links between pages."""
 
 import ast
+import re
 import sys
 import zlib
 from pathlib import Path
@@ -79,6 +80,17 @@ def test_pages_show_text_code_output_and_pictures(demo):
     pictures = [*run.glob("*.png"), *run.glob("*.gif")]
     assert pictures
     assert all(f"](../runs/{demo.stem}/{picture.name})" in page for picture in pictures)
+
+
+@pytest.mark.parametrize("demo", DEMOS, ids=lambda path: path.stem)
+def test_pages_link_the_meshes_that_demos_read(demo):
+    source = demo.read_text()
+    page, meshes = literate.page_of(demo.stem, source), ROOT / "meshes"
+    linked = re.findall(r"<\.\./\.\./meshes/([\w.]+)>", page)
+    assert all((meshes / name).is_file() for name in linked)
+    assert bool(linked) == (' / "meshes"' in source)
+    for name in re.findall(r"(\w+\.msh)\"", source):
+        assert name in linked
 
 
 def test_each_demo_is_in_the_list():

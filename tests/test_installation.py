@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import __main__
-from fenics_tfeti.__main__ import blas, extra, facts, main, self_test
+from fenics_tfeti.__main__ import blas, extra, facts, main, self_test, threads
 from fenics_tfeti.errors import ContactError, needs_fenicsx
 
 COMM = MPI.COMM_SELF
@@ -146,3 +146,21 @@ def test_a_dolfinx_that_does_not_start_is_told_and_there_is_no_self_test(tmp_pat
 def test_other_missing_packages_are_not_taken_for_fenicsx():
     with pytest.raises(ModuleNotFoundError, match="no_such_package"), needs_fenicsx("this"):
         import no_such_package  # noqa: F401
+
+
+@pytest.mark.parametrize(
+    ("processes", "load", "environment", "number", "is_many"),
+    [
+        (1, 0.2, {}, 4, False),
+        (1, 1.7, {}, 4, True),
+        (2, 0.2, {}, 4, True),
+        (2, 0.2, {"OMP_NUM_THREADS": "2,1"}, 2, False),
+        (4, 9.0, {"OMP_NUM_THREADS": "1"}, 1, False),
+        (1, 0.2, {"OMP_NUM_THREADS": "8", "OPENBLAS_NUM_THREADS": "2"}, 2, False),
+        (1, 0.2, {"OMP_NUM_THREADS": "many"}, 4, False),
+    ],
+)
+def test_threads_of_blas_beside_busy_cores(processes, load, environment, number, is_many):
+    text = threads(processes, 4, load, environment)
+    assert text.startswith(f"{number} for BLAS in each process, 4 cores, {round(load)} of them")
+    assert text.endswith("OMP_NUM_THREADS=1)") == is_many

@@ -1,4 +1,4 @@
-"""A closed crack under a uniform stress: its pressure is that stress, beside the tip, too."""
+"""Surfaces of one body that touch: a crack under a uniform stress, lips of a slit ring."""
 
 from mpi4py import MPI
 
@@ -9,7 +9,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities, meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Plane, RigidObstacle
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import contact_rows, row_values
 from fenics_tfeti.fem.contact.search.contact_search import match_contacts
@@ -115,3 +115,36 @@ def test_a_displacement_that_closes_an_open_crack_fulfils_the_conditions(degree,
     assert (rows.gap > 0.0).all()
     moved = row_values(boundary.nodes, rows, owned_values(closing))
     np.testing.assert_allclose(moved, rows.gap, rtol=1e-12)
+
+
+@pytest.mark.ranks
+def test_lips_of_a_slit_ring():
+    """Two surfaces of one body press on each other as each does on the plane of symmetry."""
+    inner, outer, slit = 8.0, 12.0, 1e-3
+    box = Box((inner, slit), (outer, 2 * np.pi - slit), (4, 72))
+    mesh = boxes(MPI.COMM_WORLD, [box], "quadrilateral").mesh
+    tags = tag_facets(mesh, {LOW: lambda x: x[1] < 1.01 * slit, UP: lambda x: x[1] > 6.282})
+    V, x = displacement_space(mesh), mesh.geometry.x
+    lips = [np.isclose(x[:, 1], end) for end in (slit, 2 * np.pi - slit)]
+    x[:, :2] = (x[:, 0] * [np.cos(x[:, 1]), np.sin(x[:, 1])]).T
+    for lip, height in zip(lips, (0.01, -0.01), strict=True):
+        x[lip, 1] = height  # the lips are parallel
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    a = ufl.inner(isotropic(2.1e5, 0.3)(u), small_strain(v)) * ufl.dx
+    # to the lips, which are at x > 0
+    L = -0.2 * ufl.SpatialCoordinate(mesh)[1] * v[1] * ufl.dx
+    back = fem.locate_dofs_geometrical(V, lambda x: x[0] < -11.5)
+    held = fem.dirichletbc(np.zeros(2), back, V)
+    planes = [RigidObstacle(tags, lip, Plane((0, 0), (0, up))) for lip, up in ((LOW, 1), (UP, -1))]
+
+    def forces(*contacts):
+        problem = ContactProblem(a, L, bcs=[held], contacts=contacts, options={"rtol": 1e-8})
+        problem.solve()
+        return [result.force[1] for result in problem.results], problem.u.copy()
+
+    (on_low,), closed = forces(ContactPair(tags, LOW, UP))
+    on_lips, expected = forces(*planes)
+    assert on_low > 0.0
+    assert [on_low, -on_low] == pytest.approx(on_lips, rel=1e-7)
+    size = np.abs(expected.x.array).max()
+    np.testing.assert_allclose(closed.x.array, expected.x.array, atol=1e-6 * size)

@@ -130,7 +130,8 @@ def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> 
     FigureCanvasAgg(figure)
     figure.text(0.04, 0.95, str(data["title"]), fontsize=13, color=INK, va="top")
     figure.text(0.04, 0.04, str(data["note"]), fontsize=8, color=OUTLINE, va="bottom")
-    axes = figure.add_axes((0.03, 0.08, 0.83, 0.83 if str(data["title"]) else 0.89))
+    # up to the label of the colour bar
+    axes = figure.add_axes((0.03, 0.08, 0.78, 0.83 if str(data["title"]) else 0.89))
     axes.imshow(image, interpolation="lanczos")
     axes.set_axis_off()
     bar_axes = figure.add_axes((0.885, 0.16, 0.018, 0.6))

@@ -22,6 +22,10 @@ _QUANTITIES = {
 _MARGIN = {"l": 70, "r": 15, "t": 10, "b": 45}
 _MAGNIFICATIONS = np.linspace(0.0, 2.0, 5)  # relative to that which makes displacements visible
 
+# of bodies in the plane, and in space, where Plotly would leave small faces without a normal
+_EVEN = {"ambient": 1, "diffuse": 0}
+_SHADED = {"ambient": 0.8, "diffuse": 0.3, "facenormalsepsilon": 0, "vertexnormalsepsilon": 0}
+
 
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
     """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
@@ -65,7 +69,7 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
     friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
     facts = [
         ("result", report["reason"]),
-        ("error of the displacement", f"at most {error}, relative, in the energy norm"),
+        ("error", f"at most {error} in the energy norm, without that of the mesh"),
         ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
         ("contact", f"{unknowns['active']} of {unknowns['inequalities']} conditions active"),
         *([("friction", friction)] if unknowns["friction"] else []),
@@ -214,7 +218,7 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
         **next(iter(colours.values())),
         colorscale="YlOrRd",
         flatshading=True,
-        lighting={"ambient": 1, "diffuse": 0} if scene.flat else {"ambient": 0.8, "diffuse": 0.3},
+        lighting=_EVEN if scene.flat else _SHADED,
         hovertemplate="%{intensity:.4g}<extra></extra>",
     )
     # frames, since Plotly writes their arrays as bytes

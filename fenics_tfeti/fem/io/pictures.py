@@ -74,7 +74,7 @@ def draw_deformed(
     scale : float, optional
         Magnification of the displacements, which is written in the picture. By default 1, 2 or 5
         times a power of ten, such that the largest displacement is drawn no larger than a tenth of
-        the mesh.
+        the mesh, and 1 where it is larger.
     obstacles : sequence of callables
         Rigid obstacles as those of `RigidObstacle`, drawn in grey where they are, as far as the
         bodies reach.

@@ -32,12 +32,15 @@ class Scene:
 
     @property
     def scale(self) -> float:
-        """1, 2 or 5 times a power of ten; with it displacements are a tenth of the mesh at most."""
+        """1, 2 or 5 times a power of ten; with it displacements are a tenth of the mesh at most.
+
+        Displacements that are larger are drawn as they are.
+        """
         largest = float(np.linalg.norm(self.displacement, axis=1).max())
         size = float(np.ptp(self.points, axis=0).max())
         if largest == 0.0:
             return 1.0
-        target = 0.1 * size / largest
+        target = max(0.1 * size / largest, 1.0)
         power = 10.0 ** np.floor(np.log10(target))
         return float(power * max(k for k in (1, 2, 5) if k * power <= target * (1 + 1e-9)))
 

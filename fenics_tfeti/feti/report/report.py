@@ -189,7 +189,7 @@ class Report:
         because = f", for {why}" if (why := self.preconditioner_reason) else ""
         lines = {
             "result": self.reason,
-            "error": f"{accuracy} {error}, relative, in the energy norm",
+            "error": f"{accuracy} {error} in the energy norm, without that of the mesh",
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
             "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",

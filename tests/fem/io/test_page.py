@@ -197,3 +197,10 @@ def test_wrong_arguments(tmp_path, monkeypatch):
     with pytest.raises(ImportError, match="pip install plotly"):
         report.to_html(tmp_path / "page.html")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_all_faces_have_a_normal():
+    """By default Plotly leaves those out that are small beside the bodies, and shades them pale."""
+    problem, uh, _ = solved("hexahedron")
+    lighting = page._bodies(gather_scene(uh), units_of("SI")).data[0].lighting
+    assert lighting.facenormalsepsilon == lighting.vertexnormalsepsilon == 0

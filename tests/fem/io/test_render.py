@@ -36,3 +36,28 @@ def test_edges_stay_with_their_body_and_margins_are_removed():
     told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
     assert [float(number) for number in told[0].split()] == [8.0, 1.0, 1.0]
     assert told[1].split() == ["7", "12", "3"]
+
+
+COMPOSED = """
+import runpy, sys
+import numpy as np
+from matplotlib.image import imread
+script = runpy.run_path(sys.argv[1])
+image = np.zeros((40, 400, 3), dtype=np.uint8)
+image[:, :, 0] = 255
+data = {"size": np.array([1600, 1000]), "title": "", "note": "", "colour_map": "Greys",
+        "label": "mmmmmmmmmm stress [MPa]"}
+script["compose"](data, image, (0.0, 1.0), sys.argv[2])
+pixels = imread(sys.argv[2])[:, :, :3]
+red = (pixels[:, :, 0] > 0.9) & (pixels[:, :, 1] < 0.1)
+dark = pixels.max(axis=2) < 0.7
+print(*(np.flatnonzero(part.any(axis=0))[end] for part, end in ((red, 0), (red, -1), (dark, 0))))
+"""
+
+
+def test_long_bodies_end_before_the_label_of_the_colour_bar(tmp_path):
+    command = [sys.executable, "-P", "-c", COMPOSED, SCRIPT, str(tmp_path / "a.png")]
+    told = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    left, right, label = map(int, told)
+    assert right - left > 0.75 * 1600
+    assert right < label
