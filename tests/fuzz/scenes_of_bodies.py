@@ -19,14 +19,12 @@ from drawing import (
     worst,
 )
 from laws import Laws
-from numpy.typing import NDArray
 from posed import BASE, LOADED, Answer, Frame, Posed, differ
 from scenes import at, dimension
 
 from fenics_tfeti import Coulomb, TiedPair
 from fenics_tfeti.errors import InputError
-
-Vector = NDArray[np.float64]
+from fenics_tfeti.typing import Vector
 
 
 @situation(2.0)

@@ -27,7 +27,6 @@ from drawing import (
     worst,
 )
 from laws import Laws
-from numpy.typing import NDArray
 from posed import BASE, LOADED, Answer, Frame, Posed, differ
 from scenes import at, dimension
 
@@ -36,8 +35,6 @@ from dolfinx.mesh import CellType, create_rectangle, locate_entities, meshtags
 from fenics_tfeti import Coulomb, TiedPair, Tresca
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.io import Interface, TaggedMesh, split_interfaces, tag_facets
-
-Vector = NDArray[np.float64]
 
 
 @situation(1.5)

@@ -9,6 +9,7 @@ from typing import Any
 from mpi4py import MPI
 
 import numpy as np
+from matching import match_contacts
 from numpy.typing import NDArray
 from scenes import GROUND, MASTER, SLAVE, Scene, at, dimension
 
@@ -18,7 +19,6 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 CELLS = ("triangle", "quadrilateral", "tetrahedron", "hexahedron")

@@ -3,9 +3,9 @@
 from mpi4py import MPI
 
 import numpy as np
+from matching import match_contacts
 from scenes import MASTER, SLAVE, Scene, at
 
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 

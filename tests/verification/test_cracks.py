@@ -4,6 +4,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from matching import match_contacts
 
 import ufl
 from dolfinx import fem
@@ -12,7 +13,6 @@ from dolfinx.mesh import locate_entities, meshtags
 from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Plane, RigidObstacle
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import contact_rows, row_values
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.io import (

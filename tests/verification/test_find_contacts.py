@@ -13,6 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from matching import match_contacts
 from random_assemblies import random_assembly
 
 import ufl
@@ -27,7 +28,6 @@ from fenics_tfeti import (
     RigidObstacle,
     find_contacts,
 )
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import boxes, displacement_space, read_msh
 from fenics_tfeti.models import isotropic, symmetry_plane

@@ -5,11 +5,11 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from matching import match_contacts
 from scenes import MASTER, SLAVE, at
 from strips import bend, matched, strips
 
 from fenics_tfeti import Along, ContactPair, InputError, Mapped, Nearest, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 

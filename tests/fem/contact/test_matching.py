@@ -5,13 +5,13 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from matching import match_contacts
 from scenes import CLAMPED, GROUND, LOADED, MASTER, SIDE_X, SLAVE, TRACTION, at, normal_forces
 from strips import matched, partners, strips
 
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.pairing import contact_rows
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.parallel import concatenate_ranks

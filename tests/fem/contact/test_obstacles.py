@@ -7,11 +7,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from matching import match_contacts
 from scenes import GROUND, at, normal_forces, pressed_block
 
 from fenics_tfeti import Cylinder, Exact, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import contact_fields, tag_facets, write_fields
 

@@ -6,12 +6,12 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from matching import match_contacts
 
 import ufl
 
 from fenics_tfeti import Along, ContactPair, InputError, find_contacts
 from fenics_tfeti.fem.contact.conditions import surface_pairs as pairs_module
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.feti.system import Prescribed

@@ -8,12 +8,12 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from matching import match_contacts
 from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, InputError, Plane
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary

@@ -249,19 +249,6 @@ class ContactSearch:
         return self._with_exchanged(found, contacts, dict(pairs[half:]))
 
 
-def match_contacts(
-    boundary: MeshBoundary,
-    contacts: Sequence[Contact],
-    known: Sequence[tuple[Contact, ContactPairing]] = (),
-    prescribed: Prescribed | None = None,
-    names: Sequence[str] | None = None,
-    displacement: Function | None = None,
-) -> list[ContactPairing]:
-    """Match the surfaces of all contacts, and return all of their parts. Collective."""
-    matched = match_parts(boundary, contacts, known, prescribed, names, displacement)
-    return [pairing for parts in matched for pairing in parts]
-
-
 def match_parts(
     boundary: MeshBoundary,
     contacts: Sequence[Contact],

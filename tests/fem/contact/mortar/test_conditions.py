@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matching import match_contacts
 from mortar_blocks import LOWER, UPPER, Blocks
 
 import ufl
@@ -9,7 +10,6 @@ import ufl
 from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
 from fenics_tfeti.fem.contact.mortar.facets import Planes
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 
 CELLS = ["triangle", "quadrilateral", "tetrahedron", "hexahedron"]

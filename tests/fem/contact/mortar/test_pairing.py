@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matching import match_contacts
 from mortar_blocks import Blocks, uneven
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
@@ -11,7 +12,6 @@ from dolfinx.fem import Function
 from fenics_tfeti import ContactPair, Exact
 from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 from fenics_tfeti.fem.contact.conditions.pairing import Terms
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
 TERMS = Terms(

@@ -5,6 +5,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from matching import match_contacts
 from scenes import MASTER, SLAVE
 from strips import matched, strips
 
@@ -12,7 +13,6 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, as_ufl_weight
 
 CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]

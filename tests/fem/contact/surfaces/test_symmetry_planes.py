@@ -1,13 +1,13 @@
 """Normals at nodes in planes of symmetry."""
 
 import numpy as np
+from matching import match_contacts
 from scenes import MASTER, SLAVE, at
 from strips import bend, strips
 
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair
-from fenics_tfeti.fem.contact.search.contact_search import match_contacts
 from fenics_tfeti.fem.contact.surfaces.normals import normals_in_symmetry_planes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.displacement import prescribed_components, prescribed_values
