@@ -89,14 +89,15 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     held = _held_bodies(system, centres, sizes)
     exact = held if kind == "auto" else np.full_like(held, kind == "exact")
     subdomains = list(system.subdomains)
-    # bodies without stress, whose springs are elastic supports
-    rigid = [s.body for s in subdomains if s.is_rigid]
+    body = np.array([s.body for s in subdomains], dtype=np.int64)
+    # the springs of rigid bodies are elastic supports
+    deformable = ~np.isin(body, [s.body for s in subdomains if s.is_rigid])
     with raise_collectively(system.comm):
         for congruent in find_congruence_classes(subdomains):
+            members = congruent.members[deformable[congruent.members]]
             # congruent ones of different bodies
-            bodies = np.array([subdomains[i].body for i in congruent.members])
-            members, bodies = (a[~np.isin(bodies, rigid)] for a in (congruent.members, bodies))
-            for some in (members[held[bodies]], members[~held[bodies]]):
+            is_held = held[body[members]]
+            for some in (members[is_held], members[~is_held]):
                 if some.size:
                     first = subdomains[some[0]]
                     chosen = _tangent(first, bool(exact[first.body]), kind)

@@ -332,9 +332,9 @@ def interference(draw: Draw) -> Ratios:
     if kind == "waves":
         # gaps between facets of other sizes depend on the slave: nothing is pushed far
         sizes = [draw.posed.largest(answer.u) for answer in (first, second)]
-        return {"size": sizes[1] / (10.0 * sizes[0])}
-    # slave and master may be others, and nodes in pairs: what is named tells only gross errors
-    return differ(draw.posed, first, second, 0.2)
+        return {"size": sizes[1] / (5.0 * sizes[0])}
+    # slave and master may be others, and nodes in pairs
+    return differ(draw.posed, first, second, 0.1)
 
 
 @situation(1.5)

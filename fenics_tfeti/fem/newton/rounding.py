@@ -1,4 +1,4 @@
-"""What rounding of coordinates leaves of distances and forces, which is no motion and no force."""
+"""Rounding of coordinates: distances and forces of its size are no motion and no force."""
 
 from __future__ import annotations
 

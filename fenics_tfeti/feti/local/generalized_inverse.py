@@ -74,9 +74,8 @@ class GeneralizedInverse:
     R (n, k) is an orthonormal basis of the kernel of K_i, and `number` is M, the number of fixing
     nodes. The stiffness, by default that of the subdomain, may have unknowns beyond those of the
     nodes. Symmetries leave K_i as it is; K_i^+ is to have them too. `orderings` are those of
-    matrices before, and take in this one. Raises `FactorizationError` if
-    the kernel of K_i is not R, or K_i is not positive semidefinite but all rigid body modes are to
-    be its kernel.
+    matrices before, and take in this one. Raises `FactorizationError` if the kernel of K_i is not
+    R, or K_i is not positive semidefinite but all rigid body modes are to be its kernel.
     """
 
     def __init__(

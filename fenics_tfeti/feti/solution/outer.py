@@ -211,7 +211,6 @@ class _Loop:
     scale: EnergyScale  # the tolerances are relative to it
     outer_before: int  # outer iterations of SMALBE-M before this loop
     bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
-    max_products: int
 
     @staticmethod
     def begin(
@@ -224,12 +223,13 @@ class _Loop:
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
         before = len(context.monitor.history.outer)
-        limit, d_0 = context.options.max_products, feasible.jumps - context.data.c
-        return _Loop(context, primal, d_0, scale, before, bounds, limit)
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before, bounds)
 
     def limited_to(self, products: int) -> _Loop:
         """Return the loop with a limit on products that may be smaller."""
-        return replace(self, max_products=min(self.max_products, products))
+        options = self.context.options
+        options = replace(options, max_products=min(options.max_products, products))
+        return replace(self, context=replace(self.context, options=options))
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -278,7 +278,7 @@ class _Loop:
         """Return what a method may spend: in the first turn what is left, later a share."""
         options, monitor = self.context.options, self.context.monitor
         history = monitor.history
-        limit, factor = self.max_products, 2**round_number
+        limit, factor = options.max_products, 2**round_number
         if number or self.bounds is not None:
             limit = min(limit, history.products.total + _SHARE * factor)
         return Turn(
@@ -311,7 +311,7 @@ class _Loop:
             return iterate
         if interruption.agreed():
             return replace(iterate, status=SolveStatus.INTERRUPTED)
-        if turn.products.total >= self.max_products:
+        if turn.products.total >= self.context.options.max_products:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
 
