@@ -29,7 +29,7 @@ from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_for
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
 from fenics_tfeti.options import ContactOptions
-from fenics_tfeti.parallel import print_on_first_rank, raise_collectively
+from fenics_tfeti.parallel import meet, print_on_first_rank, raise_collectively
 from fenics_tfeti.report import ContactReport
 
 # shortest step, as a share of all; no shorter rest is left
@@ -348,6 +348,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """
         if self._solved is None:
             raise InputError("there is nothing to save; call solve() first")
+        meet(self.space.mesh.comm, "save()")
         self._save(path)
 
     def restore(self, path: str | os.PathLike[str]) -> int:

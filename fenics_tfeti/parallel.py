@@ -6,7 +6,10 @@ All of it is for the set-up. The communication of the iterations is in
 
 from __future__ import annotations
 
+import os
 import pickle
+import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, TextIO, TypeVar
@@ -16,10 +19,13 @@ from mpi4py import MPI
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fenics_tfeti.errors import warn_user
+from fenics_tfeti.errors import InputError, first_few, warn_user
 from fenics_tfeti.typing import Array, Numbers, Vector
 
 T = TypeVar("T")
+
+# seconds until ranks say that they wait for others, and the tag of messages that tell them
+_PATIENCE, _TAG = 30.0, 24681
 
 
 @contextmanager
@@ -53,6 +59,52 @@ def _portable(error: Exception | None) -> Exception | None:
     except Exception:
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
+
+
+def meet(comm: MPI.Comm, call: str, patience: float | None = None) -> None:
+    """Wait until all ranks are in a call, and tell who is not. Collective.
+
+    A function that all ranks have to call waits for ever where some do not. After `patience`
+    seconds, by default those of the environment variable FENICS_TFETI_PATIENCE or 30, the ranks
+    that wait say so on standard error; after ten times as long they raise `InputError`.
+    """
+    if comm.size == 1:
+        return
+    if patience is None:
+        patience = float(os.environ.get("FENICS_TFETI_PATIENCE", _PATIENCE))
+    others = [rank for rank in range(comm.size) if rank != comm.rank]
+    received = {rank: comm.Irecv([None, MPI.BYTE], rank, _TAG) for rank in others}
+    sent = [comm.Isend([None, MPI.BYTE], rank, _TAG) for rank in others]
+    message = ""
+    for wait in (patience, 9.0 * patience):
+        if _all_complete(list(received.values()), wait):
+            MPI.Request.Waitall(sent)
+            return
+        missing = {rank: request for rank, request in received.items() if not request.Test()}
+        is_first, message = not message, _not_in(list(missing), call)
+        if is_first and missing:
+            print(message, file=sys.stderr, flush=True)
+    for request in missing.values():
+        request.Cancel()
+        request.Wait()
+    raise InputError(message)
+
+
+def _all_complete(requests: list[MPI.Request], seconds: float) -> bool:
+    """Tell whether all requests complete within some seconds."""
+    end, pause = time.monotonic() + seconds, 1e-5
+    while not MPI.Request.Testall(requests):
+        if time.monotonic() > end:
+            return False
+        time.sleep(pause)
+        pause = min(2.0 * pause, 1e-2)
+    return True
+
+
+def _not_in(ranks: list[int], call: str) -> str:
+    names = first_few([str(rank) for rank in ranks], 4, "ranks")
+    who = f"rank {names[0]} is" if len(ranks) == 1 else f"ranks {', '.join(names)} are"
+    return f"{who} not in {call}: call it on all ranks"
 
 
 def print_on_first_rank(comm: MPI.Comm, text: str, file: TextIO | None = None) -> None:

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.report.report import FEW_LINES, without_nan
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import meet, raise_collectively
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ class ContactReport(Report):
             If rank 0 cannot write the file; all errors are raised on all ranks.
         """
         comm = self.comm or MPI.COMM_SELF
+        meet(comm, "to_html()")
         with raise_collectively(comm):
             if displacement is None and len(fields):
                 raise InputError("fields are drawn on the deformed bodies: pass the displacement")

@@ -1,12 +1,14 @@
 """Errors in a block, on one rank and on several."""
 
+import time
+
 from mpi4py import MPI
 
 import numpy as np
 import pytest
 
-from fenics_tfeti.errors import NotConverged
-from fenics_tfeti.parallel import Directory, raise_collectively
+from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.parallel import Directory, meet, raise_collectively
 
 COMM = MPI.COMM_WORLD
 
@@ -76,3 +78,23 @@ def test_tables_and_sums_at_home():
     np.testing.assert_array_equal(found[0], [[COMM.size, 2.0 * COMM.size], [3.0, 4.0]])
     np.testing.assert_array_equal(found[1], [2.0 * COMM.size, 4.0])
     np.testing.assert_array_equal(found[2], [1.0, 3.0])
+
+
+@pytest.mark.ranks(2, 3)
+def test_ranks_that_do_not_call_are_named():
+    comm, others = COMM.Dup(), ", ".join(map(str, range(1, COMM.size)))
+    if comm.rank == 0:
+        with pytest.raises(InputError, match=rf"ranks? {others} (is|are) not in gather\(\)"):
+            meet(comm, "gather()", patience=0.01)
+    comm.Free()
+
+
+@pytest.mark.ranks(2)
+def test_ranks_wait_for_a_late_one(capsys):
+    comm, is_late = COMM.Dup(), COMM.rank == 1
+    for call, pause in (("save()", 0.0), ("gather()", 0.5), ("to_html()", 0.0)):
+        time.sleep(pause if is_late else 0.0)
+        meet(comm, call, patience=0.2)
+    comm.Free()
+    told = capsys.readouterr().err
+    assert told == ("" if is_late else "rank 1 is not in gather(): call it on all ranks\n")

@@ -27,7 +27,7 @@ from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.topology import nodes_in, owned_cells, tags_of_cells
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import errors_named, folder_of
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import meet, raise_collectively
 
 
 def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Function:
@@ -63,6 +63,7 @@ def von_mises(mesh: Mesh, stress: Any, poisson_ratio: float | None = None) -> Fu
     >>> stress = von_mises(mesh, sigma(uh))  # doctest: +SKIP
     >>> stress = von_mises(mesh, sigma(uh), poisson_ratio=0.3)  # plane strain  # doctest: +SKIP
     """
+    meet(mesh.comm, "von_mises()")
     with raise_collectively(mesh.comm):
         stress = ufl.as_ufl(stress)
         _check_stress(stress, poisson_ratio)
@@ -118,6 +119,7 @@ def write_fields(
         raise InputError("there are no fields to write: pass at least one function")
     mesh = functions[0].function_space.mesh
     comm = mesh.comm
+    meet(comm, "write_fields()")
     with raise_collectively(comm):
         _check_fields(path, functions)
         if time is not None and not is_number(time):
@@ -390,6 +392,7 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
     >>> pressure, force, gap, opening = contact_fields(V, problem.results)  # doctest: +SKIP
     >>> opening = contact_fields(V, problem.results).opening  # doctest: +SKIP
     """
+    meet(space.mesh.comm, "contact_fields()")
     contacts = [result for result in results if isinstance(result, ContactResult)]
     with raise_collectively(space.mesh.comm):
         if any(contact.dofs.min(initial=0) < 0 for contact in contacts):

@@ -25,7 +25,7 @@ from fenics_tfeti.fem.io.scene import Scene, gather_scene
 from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.typing import Vector
 
 _log = logging.getLogger(__name__)
@@ -105,6 +105,7 @@ def draw_deformed(
     """
     path = Path(path)
     comm = displacement.function_space.mesh.comm
+    meet(comm, "draw_deformed()")
     with raise_collectively(comm):
         _check_path(path)
         factor = units_of(units).factor(unit)
@@ -196,6 +197,7 @@ def draw_profile(
     >>> draw_profile("pressure.png", curves, "x [m]", "pressure [Pa]")  # doctest: +SKIP
     """
     path = Path(path)
+    meet(comm, "draw_profile()")
     with raise_collectively(comm):
         _check_path(path)
         if comm.rank == 0:

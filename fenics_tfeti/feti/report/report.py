@@ -34,7 +34,7 @@ from fenics_tfeti.feti.solution.states import (
 )
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
-from fenics_tfeti.parallel import count_over_ranks, raise_collectively
+from fenics_tfeti.parallel import count_over_ranks, meet, raise_collectively
 from fenics_tfeti.qp import OuterIteration
 
 FEW_LINES = 12  # for the contacts in a printed report
@@ -233,6 +233,7 @@ class Report:
         if self.comm is None:
             self._write(path)
             return
+        meet(self.comm, "to_json()")
         with raise_collectively(self.comm):
             if self.comm.rank == 0:
                 self._write(path)

@@ -14,7 +14,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.summary import joined_summary
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame
 from fenics_tfeti.feti.report.resultants import ContactForces
-from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank, meet
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -95,6 +95,7 @@ class _SurfaceResult:
 
         The `dofs` of nodes of other ranks are -1.
         """
+        meet(self.comm, "gather()")
         order = np.argsort(concatenate_ranks(self.comm, self.nodes))
         first, total = first_of_rank(self.comm, self.dofs.size)
         dofs: Numbers = np.full(total, -1)
