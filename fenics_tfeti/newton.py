@@ -16,6 +16,7 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
+from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
@@ -339,8 +340,29 @@ class NewtonIteration:
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement, law of friction broken by {end.friction:.1e}; newton_rtol is "
-            f"{self._options.newton_rtol:g}{unfinished}. {_SMALLER}"
+            f"{self._options.newton_rtol:g}{self._course()}{self._worst_contact(state)}"
+            f"{unfinished}. {_SMALLER}"
         )
+
+    def _course(self) -> str:
+        """Say in which step the residual was least, if not in the last one."""
+        residuals = [step.residual for step in self.steps]
+        least = int(np.argmin(residuals))
+        if least == len(residuals) - 1:
+            return ", and the residual still falls: raise newton_max_it"
+        return f"; the residual was least in step {least + 1}, {residuals[least]:.1e}"
+
+    def _worst_contact(self, state: NewtonState) -> str:
+        """Name the contact whose surfaces are farthest from touching, if any. Collective."""
+        rows, names = state.rows, state.rows.conditions.names
+        pressing = state.multipliers.normal[rows.place] > 0.0
+        distance = np.where(pressing, np.abs(rows.distance), -rows.distance)
+        is_wrong = np.isfinite(distance)
+        number = rows.contacts.contact[is_wrong]
+        comm = self._load_step.torn.nodes.comm
+        misfit = extremes(comm, distance[is_wrong], number, len(names), 0.0)
+        worst = int(misfit.argmax()) if len(names) else 0
+        return f"; surfaces are farthest from touching at {names[worst]}" if misfit.any() else ""
 
     def _alternation(self, surface_nodes: Numbers) -> str:
         """Say at which nodes contact opens and closes in turn, if at any. Collective."""

@@ -24,13 +24,14 @@ from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import build_constraints
-from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
+from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.factors.supernodal import Orderings
 from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report.report import Report, build_report
 from fenics_tfeti.feti.report.resultants import tangential_forces
+from fenics_tfeti.feti.solution.attempts import next_attempt
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import dual_problem
@@ -47,8 +48,6 @@ from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.parallel import any_rank, raise_collectively
 from fenics_tfeti.typing import Vector
-
-_AT_A_LIMIT = (SolveStatus.OUT_OF_STEPS, SolveStatus.OUT_OF_PRODUCTS)
 
 
 @dataclass(frozen=True)
@@ -374,10 +373,12 @@ class TornSolver:
         except Interrupted:
             raise Interrupted("interrupted", solution, report) from None
         if not outcome.converged and self.options.error_if_not_converged:
-            limit = "the limit or " if outcome.status in _AT_A_LIMIT else ""
+            remedy = next_attempt(
+                outcome.status, monitor.history.spent, self.options, report.preconditioner
+            )
             raise NotConverged(
-                f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. Raise {limit}"
-                "rtol, or set error_if_not_converged to false to get the best iterate",
+                f"not converged to rtol {self.options.rtol:g}: {outcome.reason}. {remedy}, or set "
+                "error_if_not_converged to false to get the best iterate",
                 solution,
                 report,
             )

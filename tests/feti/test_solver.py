@@ -97,7 +97,11 @@ def test_of_many_contacts_the_text_has_few_and_the_number_of_others():
 def test_limit():
     with pytest.raises(NotConverged, match="max_products") as caught:
         TornSolver(column(), Options(max_products=2)).solve()
-    assert not caught.value.report.converged
+    report = caught.value.report
+    assert not report.converged
+    assert "the active set method has spent 2 of 2 products" in report.reason
+    worst = max(report.certificate.bodies, key=lambda body: body.error).body
+    assert f"largest in {worst}" in report.reason
 
 
 def test_unknown_option():

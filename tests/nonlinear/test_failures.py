@@ -94,8 +94,14 @@ def test_nothing_converges_in_two_steps():
     scene = indented_block(n=4, newton_max_it=2)
     scene.set_load(0.3)
     scene.problem.u.x.array[:] = 0.0
-    with pytest.raises(NotConverged, match=r"after 2 steps of Newton's method \(newton_max_it\)"):
+    with pytest.raises(
+        NotConverged, match=r"after 2 steps of Newton's method \(newton_max_it\)"
+    ) as caught:
         scene.problem.solve()
+    least = min(step.residual for step in scene.problem.report.newton)
+    assert str(caught.value).startswith("no equilibrium") and f"{least:.1e}" in str(caught.value)
+    (name,) = [contact.name for contact in scene.problem.report.contacts]
+    assert f"surfaces are farthest from touching at {name}" in str(caught.value)
     assert not scene.problem.u.x.array.any()
     assert len(scene.problem.report.newton) == 2
     assert not scene.problem.report.converged

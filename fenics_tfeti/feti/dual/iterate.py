@@ -59,6 +59,19 @@ class Method(Enum):
     NEWTON = "newton"
     SMALBE = "smalbe"
 
+    @property
+    def words(self) -> str:
+        """The name in a sentence."""
+        return _WORDS[self]
+
+
+_WORDS = {
+    Method.ACTIVE_SET: "the active set method",
+    Method.GRADIENTS: "the method of projected gradients",
+    Method.NEWTON: "Newton's method on proximal problems",
+    Method.SMALBE: "SMALBE-M",
+}
+
 
 @dataclass(frozen=True)
 class GradientState:

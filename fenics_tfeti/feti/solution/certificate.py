@@ -159,6 +159,15 @@ class Certificate:
         numbers = self.numbers()
         return max(numbers, key=numbers.__getitem__)
 
+    @property
+    def worst_bodies(self) -> list[str]:
+        """The bodies with the largest error, and those with more than half of it."""
+        errors = {body.body: _largest([body.error]) for body in self.bodies}
+        least = 0.5 * max(errors.values(), default=0.0)
+        return [
+            name for name in sorted(errors, key=errors.__getitem__)[::-1] if errors[name] > least
+        ]
+
     def with_nearly_unloaded_bodies(self) -> Certificate:
         """Return the certificate with absolute bounds for nearly unloaded bodies and groups.
 

@@ -136,7 +136,10 @@ class _FixedPoint:
     def judge(self, step: _Step) -> tuple[SolveStatus, str] | None:
         """Return how the fixed point ends with a step; None if it goes on."""
         rtol, outcome = self.context.options.rtol, step.outcome
-        if not outcome.converged or max(step.change, self.rtol) <= rtol:
+        if not outcome.converged:
+            number = len(self.changes)
+            return outcome.status, f"{outcome.reason}; in step {number} of the slip bounds"
+        if max(step.change, self.rtol) <= rtol:
             return outcome.status, outcome.reason
         if interruption.agreed():
             return SolveStatus.INTERRUPTED, "interrupted"

@@ -20,6 +20,7 @@ from mpi4py import MPI
 
 import numpy as np
 
+from fenics_tfeti.errors import first_few
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 from fenics_tfeti.feti.coarse.projector import Projector
@@ -29,6 +30,7 @@ from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.dual.projected_gradients import projected_gradients
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
+from fenics_tfeti.feti.solution.attempts import most_spent
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.progress import Progress, Stagnation
@@ -56,6 +58,8 @@ _TURNS = [Method.ACTIVE_SET, Method.NEWTON, Method.SMALBE]
 _FOLLOWING_TURNS = [Method.GRADIENTS, *_TURNS]
 # products of a turn after the first one, in the first round; doubled in each round
 _SHARE = 2000
+# bodies that the reason of an end without convergence names
+_BODIES = 2
 
 
 Bounds = Callable[[Vector], Vector]
@@ -192,10 +196,13 @@ class _Best:
         candidate = last if self.is_last else loop.recover(self.iterate)
         reached = "the contact forces do not balance the load"
         if np.isfinite(self.worst):
-            reached = f"its certificate has reached {self.worst:.1e} ({self.name})"
+            bodies = ", ".join(first_few(candidate.certificate.worst_bodies, _BODIES, "bodies"))
+            where = f", largest in {bodies}" if bodies else ""
+            reached = f"its certificate has reached {self.worst:.1e} ({self.name}{where})"
         if self.rounded is not None:
             reached += f"; rounding has ended the conjugate gradients at {self.rounded:.1e}"
-        reason = f"{status.describe(options)}; {reached}"
+        spent = most_spent(loop.context.monitor.history.spent)
+        reason = f"{status.describe(options)}; {reached}; {spent}"
         if status is SolveStatus.INTERRUPTED:
             reason = status.describe(options)
         return Outcome(candidate, self.iterate, status, reason, tolerance)
@@ -304,9 +311,11 @@ class _Loop:
             Method.NEWTON: proximal_newton,
             Method.SMALBE: solve_by_smalbe,
         }
+        spent, before = self.context.monitor.history.spent, turn.products.total
         with self.context.timer.phase("iterations"):
             iterate = run[method](problem, iterate, turn)
             iterate = replace(iterate, multipliers=self._completed(iterate.multipliers))
+        spent[method] = spent.get(method, 0) + turn.products.total - before
         if iterate.status is SolveStatus.SOLVED:
             return iterate
         if interruption.agreed():

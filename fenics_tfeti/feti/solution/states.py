@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.friction import SlipBound
-from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, SolveStatus
+from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.qp import OuterIteration, Products
@@ -96,6 +96,7 @@ class History:
     outer: list[OuterIteration] = field(default_factory=list)  # of SMALBE-M
     faces: list[ActiveSetStep] = field(default_factory=list)  # of the active set method
     slip_bounds: list[SlipBoundStep] = field(default_factory=list)  # of Coulomb's law
+    spent: dict[Method, int] = field(default_factory=dict)  # products by method
     norm_products_before: int = 0  # products for ||PFP|| that were spent before
     deflation_solves: int = 0  # solves with K_i^+ of this rank that the set-up of deflation took
 

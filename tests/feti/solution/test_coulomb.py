@@ -72,3 +72,10 @@ def test_limit_on_outer_iterations_is_that_of_each_step():
     assert 1 < largest < total
     options = Options(method="smalbe", smalbe_max_it=largest)
     assert TornSolver(system, options).solve().report.converged
+
+
+def test_step_that_has_spent_the_products_is_named():
+    options = Options(max_products=2, error_if_not_converged=False)
+    report = TornSolver(with_coulomb((0.15, 0.05, -1.0)), options).solve().report
+    assert not report.converged
+    assert report.reason.endswith("products; in step 1 of the slip bounds")
