@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from math import floor, isfinite, log10
 from pathlib import Path
 from typing import Any
 
 _DIGITS = 6
-_PACKAGE = f"{Path(__file__).parent}{os.sep}"
+# files whose lines are not the user's: the package, and where its context managers end
+_PACKAGE = (f"{Path(__file__).parent}{os.sep}", contextlib.__file__)
+
+# the list that warnings are added to, see `keep_warnings`
+_KEPT: ContextVar[list[str] | None] = ContextVar("kept warnings", default=None)
 
 # what comes with FEniCSx, in the order in which it is imported
 _FENICSX = ("mpi4py", "petsc4py", "numpy", "scipy", "basix", "ffcx", "ufl", "dolfinx")
@@ -99,8 +105,28 @@ def check_value(fits: bool, name: str, value: object, expected: str) -> None:
         raise InputError(f"{name} is {value!r}; {expected} is expected")
 
 
+@contextmanager
+def keep_warnings(messages: list[str]) -> Iterator[None]:
+    """Add the texts of the package's warnings in a block to a list, once each.
+
+    >>> messages = []
+    >>> with keep_warnings(messages), warnings.catch_warnings(action="ignore"):
+    ...     warn_user("the slave is stiffer")
+    >>> messages
+    ['the slave is stiffer']
+    """
+    token = _KEPT.set(messages)
+    try:
+        yield
+    finally:
+        _KEPT.reset(token)
+
+
 def warn_user(message: str) -> None:
     """Warn with the place of the user's line that has called the package."""
+    kept = _KEPT.get()
+    if kept is not None and message not in kept:
+        kept.append(message)
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):
         frame, level = frame.f_back, level + 1

@@ -9,12 +9,15 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+
 from fenics_tfeti.checkpoint import Step, read_step, write_step
 from fenics_tfeti.errors import (
     InputError,
     Interrupted,
     NotConverged,
     UnresistedMotion,
+    keep_warnings,
     wrong_type,
 )
 from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
@@ -26,11 +29,20 @@ from fenics_tfeti.fem.contact.search.automatic import find_contacts
 from fenics_tfeti.fem.contact.solution.results import Results
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
+from fenics_tfeti.fem.gradients import CellStrains
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
+from fenics_tfeti.findings import contact_findings, strain_findings, unaccepted_step
 from fenics_tfeti.options import ContactOptions
-from fenics_tfeti.parallel import meet, print_on_first_rank, raise_collectively
+from fenics_tfeti.parallel import (
+    largest_of_ranks,
+    meet,
+    print_on_first_rank,
+    raise_collectively,
+    warn_on_first_rank,
+)
 from fenics_tfeti.report import ContactReport
+from fenics_tfeti.typing import Vector
 
 # shortest step, as a share of all; no shorter rest is left
 _SHORTEST = 1e-3
@@ -47,7 +59,9 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     _kind: str  # in checkpoints
     _report_type: type[AnyReport]
     _report: AnyReport | None = None
-    _is_solved = _is_restored = False
+    _is_solved = _is_restored = _has_warned = False
+    _has_finite_strains = False
+    _last_origin: SlipOrigin | None = None  # of slips in the last solve
     _solved: SolvedContacts | None = None
     _solver: TornSolver | None = None
     # what belongs to `u`
@@ -66,6 +80,24 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         **data: Any,
     ) -> None:
         self.options, self.space, self._timer = options, space_of_forms(a, L), Timer()
+        self._warnings: list[str] = []  # of what was found and assembled
+        with keep_warnings(self._warnings):
+            self._set_up(a, L, u, bcs, contacts, cell_tags, rigid, data)
+        self._step = Step.at(self._first_origin())
+
+    def _set_up(
+        self,
+        a: Any,
+        L: Any,
+        u: Any,
+        bcs: Any,
+        contacts: Any,
+        cell_tags: Any,
+        rigid: Any,
+        data: dict[str, Any],
+    ) -> None:
+        """Find the contacts, and assemble."""
+        options = self.options
         if isinstance(contacts, str) and contacts == "auto":
             with self._timer.phase("contact search"):
                 exact = bool(self._exact)
@@ -85,7 +117,6 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         self._torn = TornProblem(self.space, a, L, torn, self._timer)
         with self._timer.phase("assembly"):
             warn_of_locking(self._torn.torn.forms, self._torn.bodies)
-        self._step = Step.at(self._first_origin())
 
     @property
     def report(self) -> AnyReport:
@@ -262,7 +293,8 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         self._check_data()
         if self._torn.torn.has_moved():
             self.reset_slip()
-        self._update()
+        with keep_warnings(self._warnings):
+            self._update()
 
     @abstractmethod
     def _update(self) -> None:
@@ -292,6 +324,54 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             **report,
         )
         self._step = replace(self._step, force=solved.nodal_forces())
+
+    @contextmanager
+    def _looking_over(self) -> Iterator[None]:
+        """Put what there is to check, and warnings, into the report of a solve in the block."""
+        texts, before = list[str](), self._step.displacement
+        is_next = self._is_solved and self._step.origin is self._last_origin
+        try:
+            with keep_warnings(texts):
+                yield
+        except NotConverged as error:
+            if error.report is not None:
+                self._look_over(texts, before if is_next else None)
+                error.report = self._report
+            raise
+        large = self._look_over(texts, before if is_next else None)
+        if not self._has_warned:
+            warn_on_first_rank(self.space.mesh.comm, *large)
+        self._has_warned = self._has_warned or bool(large)
+
+    def _look_over(self, texts: list[str], before: Vector | None) -> list[str]:
+        """Complete the report; return what it says of large motions. Collective.
+
+        The displacement `before` is that of the last solve, if that was not accepted.
+        """
+        assert self._solved is not None
+        comm, bodies = self.space.mesh.comm, self._torn.bodies
+        u = owned_values(self.u)
+        strains = CellStrains.of(self.u, self._has_finite_strains)
+        sizes = np.linalg.norm(u.reshape(-1, self.space.dofmap.index_map_bs), axis=1)
+        strain = largest_of_ranks(comm, strains.strain[bodies.of_cell < bodies.deformable])
+        large = self._large_motions(strains)
+        texts += contact_findings(self._solved, bodies, self.report.units.length)
+        texts += strain_findings(strain)
+        texts += unaccepted_step(self._solved, u, before)
+        # what rank 0 alone has warned of is in its list
+        texts = comm.bcast([*self._warnings, *texts, *large])
+        self._last_origin = self._step.origin
+        self._report = replace(
+            self.report,
+            to_check=tuple(dict.fromkeys(texts)),
+            largest_displacement=largest_of_ranks(comm, sizes),
+            largest_strain=strain,
+        )
+        return large
+
+    def _large_motions(self, strains: CellStrains) -> list[str]:
+        """Return what there is to say of strains and rotations that are not small. Collective."""
+        return []
 
     def _view(self) -> None:
         """Print the report, if the user wants it."""

@@ -101,6 +101,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
     _exact = _kind = "NonlinearContactProblem"
     _report_type = NonlinearReport
+    _has_finite_strains = True
 
     def __init__(
         self,
@@ -171,7 +172,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         """
         with interruption.deferred():
             try:
-                with self._as_before_errors():
+                with self._as_before_errors(), self._looking_over():
                     self._solve(monitor, checkpoint)
             finally:
                 self._timer.restart()

@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.gradients import warn_of_large_gradients, warn_of_large_rotations
+from fenics_tfeti.fem.gradients import CellStrains, large_gradients, large_rotations
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
@@ -151,7 +151,6 @@ class ContactProblem(SteppedProblem[ContactReport]):
         )
         self.system = self._torn.system(self._step.origin)
         _return_free_memory()
-        self._has_warned = False
         self._deformed: ContactSet | None = None  # after the last pass
 
     def solve(
@@ -216,7 +215,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         """
         with interruption.deferred():
             try:
-                uh = self._solve(coarse, monitor, checkpoint)
+                with self._looking_over():
+                    uh = self._solve(coarse, monitor, checkpoint)
             except Interrupted as error:
                 if error.solution is not None:
                     self._save(checkpoint)
@@ -224,7 +224,6 @@ class ContactProblem(SteppedProblem[ContactReport]):
             finally:
                 self._timer.restart()
             self._is_solved = self.report.converged
-            self._has_warned = self._has_warned or self._warn_of_large_motions(uh)
             if self._is_solved:
                 self._step = replace(self._step, passes=())
                 self._save(checkpoint)
@@ -258,14 +257,13 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     # -- solutions ---------------------------------------------------------------------------------
 
-    def _warn_of_large_motions(self, uh: Function) -> bool:
-        """Warn of displacement gradients and rotations that are not small; whether there are."""
+    def _large_motions(self, strains: CellStrains) -> list[str]:
         of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
         energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
         energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
         bodies = self.rigid_bodies if self.geometry is None else ()
-        turned = warn_of_large_rotations(self.space.mesh.comm, bodies)
-        return warn_of_large_gradients(uh, of_mesh, energy) or turned
+        comm, weak = self.space.mesh.comm, self.report.weak_motions
+        return [*large_rotations(bodies), *large_gradients(comm, strains, of_mesh, energy, weak)]
 
     def _solve(
         self,

@@ -35,6 +35,13 @@ class ContactReport(Report):
         Forces, moments, the work of friction and the pairing of each contact and tied pair.
     rigid_bodies : list of RigidBodyResult
         Motion of each rigid body, and the forces on it.
+    to_check : tuple of str
+        What the user should look at: that nothing touches, few nodes across what presses, meshes
+        that overlap, contacts without unknowns, obstacles deeper than bodies, strains out of all
+        proportion, friction without `advance`, and all warnings of the set-up and of the solve.
+    largest_displacement, largest_strain : float
+        The largest displacement of a node [m], and the largest principal strain by magnitude at
+        midpoints of cells, with finite strains that of Green and Lagrange.
     per_length : bool
         Whether forces, moments and energies are those of a unit of length: in two dimensions, if
         the problem has no `measure_weight`.
@@ -50,6 +57,9 @@ class ContactReport(Report):
     passes: list[GeometryPass] = field(default_factory=list)
     rigid_bodies: list[RigidBodyResult] = field(default_factory=list)
     per_length: bool = False
+    to_check: tuple[str, ...] = ()
+    largest_displacement: float = 0.0
+    largest_strain: float = 0.0
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
@@ -62,12 +72,17 @@ class ContactReport(Report):
         return cls(**{**vars(report), **added, **more})
 
     def __str__(self) -> str:
-        """Return the main figures and the pairing of the first contacts as lines to read."""
+        """Return what to check, the pairing of the first contacts and the main figures as lines."""
         head, *table = self.pairing_table().splitlines()
         table = [head, *first_few(table, FEW_LINES, "contacts")] if table else []
         roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
         roles = first_few(roles, FEW_LINES, "contacts")
-        return "\n".join([*table, *roles, self.summary(self._units.force)])
+        to_check = [f"{'to check':>16}  {finding}" for finding in self.to_check]
+        largest = (
+            f"{'largest':>16}  displacement {self.largest_displacement:.3g} {self.units.length}, "
+            f"strain {self.largest_strain:.2g}"
+        )
+        return "\n".join([*to_check, *table, *roles, self.summary(self.units.force), largest])
 
     def to_html(
         self,
@@ -120,7 +135,7 @@ class ContactReport(Report):
 
     def pairing_table(self) -> str:
         """Return the pairing of each contact as a table to read, a line for each."""
-        length = f"[{self._units.length}]"
+        length = f"[{self.units.length}]"
         rows = [[title.replace("[L]", length) for title in _COLUMNS.values()]]
         rows += [[_word(entry.pairing[key]) for key in _COLUMNS] for entry in self.contacts]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
@@ -130,7 +145,8 @@ class ContactReport(Report):
         )
 
     @property
-    def _units(self) -> Units:
+    def units(self) -> Units:
+        """The names of the units of the options."""
         return units_of(self.options["units"], self.per_length)
 
 

@@ -18,8 +18,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
 from fenics_tfeti.fem.topology import batches, owned_cells
-from fenics_tfeti.parallel import warn_on_first_rank
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 # cells at once
 _CELLS = 2**13
@@ -95,58 +94,91 @@ class CellGradients:
             yield GradientBatch(gradients, np.abs(determinant).T, x)
 
 
-def warn_of_large_gradients(uh: Function, bodies: Bodies, energy: Sequence[float]) -> bool:
-    """Warn, on rank 0, if displacement gradients are large in cells that carry load. Collective.
+@dataclass(frozen=True)
+class CellStrains:
+    """Strains and rotations at the midpoints of the m cells that this rank owns."""
 
-    They are those at the midpoints. Bodies without strain energy [J] may turn as far as they like.
-    Return on all ranks whether there was a warning.
+    gradient: Vector  # |grad u|
+    strain: Vector  # |strain|, the root of the sum of squares
+    rotation: Vector  # angle of the skew part of grad u [rad]
+    squares: Vector  # |strain|^2 times the volume [m^gdim]
+
+    @staticmethod
+    def of(uh: Function, is_finite: bool = False) -> CellStrains:
+        """Measure a displacement; finite strains are those of Green and Lagrange."""
+        space = uh.function_space
+        u = uh.x.array.reshape(-1, space.dofmap.index_map_bs)
+        columns = [np.zeros((0, 4))]
+        for batch in CellGradients(space).at_midpoints(u):
+            G = batch.fields[0][:, 0]
+            transposed = G.transpose(0, 2, 1)
+            strain, skew = 0.5 * (G + transposed), 0.5 * (G - transposed)
+            if is_finite:
+                strain += 0.5 * transposed @ G
+            sizes = [np.linalg.norm(A, axis=(1, 2)) for A in (G, strain, skew)]
+            sizes += [sizes[1] ** 2 * batch.scale[:, 0]]
+            columns.append(np.column_stack(sizes))
+        gradient, size, skew_size, squares = np.concatenate(columns).T
+        return CellStrains(gradient, size, skew_size / np.sqrt(2.0), squares)
+
+
+def large_gradients(
+    comm: MPI.Intracomm,
+    strains: CellStrains,
+    bodies: Bodies,
+    energy: Sequence[float],
+    weak_motions: Sequence[str] = (),
+) -> list[str]:
+    """Say if displacement gradients are large in cells that carry load. Collective.
+
+    Bodies without strain energy [J] may turn as far as they like. Where strains are small, it is a
+    rotation: of a body that only tilted normals hold, or of one that bends or swings.
     """
-    comm = uh.function_space.mesh.comm
-    size, strain2 = _cell_measures(uh)
-    large, count = size > _LARGE, len(energy)
-    energies = [np.bincount(bodies.of_cell, values, count) for values in (strain2, strain2 * large)]
-    whole, in_large = comm.allreduce(np.array(energies))
-    largest = extremes(comm, size, bodies.of_cell, count, 0.0)
-    # the strain energy in large cells, as a share of that of all bodies
-    share = np.divide(in_large, whole, out=np.zeros_like(whole), where=whole > 0.0)
-    share *= np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
-    if share.sum() <= _SHARE:
-        return False
-    worst = int(share.argmax())
-    warn_on_first_rank(
-        comm,
-        f"|grad u| is as large as {largest[worst]:.2g} in {bodies.names[worst]}, and above "
-        f"{_LARGE:g} in cells with {share.sum():.0%} of the strain energy; linear elasticity and "
-        "the contact conditions are right for |grad u| much smaller than 1 only. Do the units "
-        "fit, such as E in Pa with lengths in m, or in MPa with mm?",
+    count = len(energy)
+
+    def share(is_large: Mask) -> Vector:
+        """Return the strain energy in some cells of each body, as a share of that of all."""
+        weights = (strains.squares, strains.squares * is_large)
+        whole, part = comm.allreduce(
+            np.array([np.bincount(bodies.of_cell, values, count) for values in weights])
+        )
+        of_body = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0)
+        return of_body * np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
+
+    large = share(strains.gradient > _LARGE)
+    if large.sum() <= _SHARE:
+        return []
+    worst = int(large.argmax())
+    name, columns = bodies.names[worst], np.column_stack([strains.gradient, strains.rotation])
+    gradient, rotation = extremes(comm, columns, bodies.of_cell, count, 0.0)[worst]
+    if share(strains.strain > _LARGE).sum() > _SHARE:
+        return [
+            f"|grad u| is as large as {gradient:.2g} in {name}, and above {_LARGE:g} in cells with "
+            f"{large.sum():.0%} of the strain energy; linear elasticity and the contact conditions "
+            "are right for |grad u| much smaller than 1 only. Do the units fit, such as E in Pa "
+            "with lengths in m, or in MPa with mm?"
+        ]
+    weak = [motion for motion in weak_motions if f"{name}: " in motion]
+    why = (
+        f"nothing but facets holds it ({weak[0]}): add a support or a soft spring"
+        if weak
+        else "add a support, or take NonlinearContactProblem if it is meant to turn"
     )
-    return True
+    return [
+        f"{name} turns by {np.degrees(rotation):.2g} degrees, with strains that are small. Linear "
+        f"elasticity and the contact conditions are right for small rotations only; {why}"
+    ]
 
 
-def warn_of_large_rotations(comm: MPI.Intracomm, bodies: Iterable[RigidBodyResult]) -> bool:
-    """Warn, on rank 0, of rigid bodies whose rotation is not small; True if so. Collective."""
+def large_rotations(bodies: Iterable[RigidBodyResult]) -> list[str]:
+    """Name rigid bodies whose rotation is not small; the same on all ranks."""
     angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
-    large = [
+    return [
         f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move along "
         "straight lines, and normals stay as they are. geometry=Exact() turns it by any angle"
         for name, angle in angles.items()
         if angle > _LARGE
     ]
-    warn_on_first_rank(comm, *large)
-    return bool(large)
-
-
-def _cell_measures(uh: Function) -> tuple[Vector, Vector]:
-    """Return |grad u| and |strain|^2 times the volume of the cells that this rank owns."""
-    space = uh.function_space
-    u = uh.x.array.reshape(-1, space.dofmap.index_map_bs)
-    size, strain2 = [np.zeros(0)], [np.zeros(0)]
-    for batch in CellGradients(space).at_midpoints(u):
-        gradient = batch.fields[0][:, 0]
-        strain = 0.5 * (gradient + gradient.transpose(0, 2, 1))
-        size.append(np.linalg.norm(gradient, axis=(1, 2)))
-        strain2.append(np.sum(strain**2, axis=(1, 2)) * batch.scale[:, 0])
-    return np.concatenate(size), np.concatenate(strain2)
 
 
 def _derivatives(shapes: Vector, values: Vector) -> Vector:

@@ -25,7 +25,7 @@ from fenics_tfeti.fem.topology import (
     tags_of_cells,
 )
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
-from fenics_tfeti.typing import Indices, Numbers
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Bodies:
     tags: Numbers | None  # None where cells are not tagged
     part: Numbers  # the connected part of the mesh, whatever the tags, that each is in
     graph: sp.csr_matrix  # adjacency of owned cells through facets, whatever the tags
+    extent: Vector  # (bodies, gdim): sizes of the boxes around them [m]
 
 
 def find_bodies(
@@ -75,15 +76,19 @@ def find_bodies(
     number[order] = np.arange(bodies)
     of_cell = number[unordered]
     tag_of_body = common[order, 0] if tagged else None
-    boxes = _bounding_boxes(domain, cells, first, number[present], bodies)
+    low, high = _bounding_boxes(domain, cells, first, number[present], bodies)
     labels = [f"body {k}" for k in range(bodies)]
     if tag_of_body is not None:
         known = tag_names(cell_tags)
         for k, tag in enumerate(tag_of_body.tolist()):
             labels[k] += f" ({known.get(tag, f'cell tag {tag}')})"
-    names = [f"{label} in {box}" for label, box in zip(labels, boxes, strict=True)]
+    names = [
+        f"{label} in " + " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(*box, strict=True))
+        for label, *box in zip(labels, low, high, strict=True)
+    ]
     deformable = bodies - int(np.count_nonzero(is_rigid))
-    return Bodies(of_cell, piece, deformable, labels, names, tag_of_body, common[order, 1], graph)
+    part, extent = common[order, 1], high - low
+    return Bodies(of_cell, piece, deformable, labels, names, tag_of_body, part, graph, extent)
 
 
 def _global_components(
@@ -123,8 +128,11 @@ def _join_across_ranks(domain: Mesh, component: Numbers, tags: Numbers, total: i
 
 def _bounding_boxes(
     domain: Mesh, cells: Numbers, first: Numbers, present: Numbers, bodies: int
-) -> list[str]:
-    """Write boxes around bodies; those on this rank have their cells in a row. Collective."""
+) -> tuple[Vector, Vector]:
+    """Return the least and largest coordinates (bodies, gdim) of bodies. Collective.
+
+    Those on this rank have their cells in a row.
+    """
     low = np.full((bodies, domain.geometry.dim), np.inf)
     high = -low
     nodes = _compat.geometry_cells(domain)[cells]
@@ -136,11 +144,7 @@ def _bounding_boxes(
     domain.comm.Allreduce(MPI.IN_PLACE, low, MPI.MIN)
     domain.comm.Allreduce(MPI.IN_PLACE, high, MPI.MAX)
     noise = RELATIVE_ROUNDING * (high - low).max(axis=1, keepdims=True)
-    low, high = (np.where(np.abs(x) < noise, 0.0, x) for x in (low, high))
-    return [
-        " x ".join(f"[{a:.4g}, {b:.4g}]" for a, b in zip(*box, strict=True))
-        for box in zip(low, high, strict=True)
-    ]
+    return np.where(np.abs(low) < noise, 0.0, low), np.where(np.abs(high) < noise, 0.0, high)
 
 
 # -- the graph of the cells ---------------------------------------------------------------------

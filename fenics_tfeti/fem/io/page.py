@@ -63,13 +63,20 @@ def _div(name: str, figure: go.Figure) -> str:
 
 
 def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
-    kind = "verdict" if report["converged"] else "verdict open"
+    to_check = [("to check", finding) for finding in report["to_check"]]
+    kind = "verdict check" if to_check else "verdict"
+    if not report["converged"]:
+        kind = "verdict open"
     error = _number(report["certificate"]["error"])
     unknowns, products = report["unknowns"], report["products"]
     friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
+    displacement = f"{_number(report['largest_displacement'])} {units.length}"
     facts = [
+        *to_check,
         ("result", report["reason"]),
         ("error", f"at most {error} in the energy norm, without that of the mesh"),
+        ("largest displacement", displacement),
+        ("largest strain", _number(report["largest_strain"])),
         ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
         ("contact", f"{unknowns['active']} of {unknowns['inequalities']} conditions active"),
         *([("friction", friction)] if unknowns["friction"] else []),

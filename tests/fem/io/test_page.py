@@ -184,6 +184,16 @@ def test_report_that_is_not_converged():
     assert 'id="bodies"' not in text and 'id="convergence"' in text
 
 
+@pytest.mark.parametrize(("to_check", "kind"), [(("a < b",), "verdict check"), ((), "verdict")])
+def test_head_is_amber_where_there_is_something_to_check(to_check, kind):
+    """It comes first; green needs a result that has converged, and an empty list."""
+    report = dataclasses.replace(solved("triangle")[0].report, to_check=to_check)
+    text = page.report_page(without_nan(report.to_dict()), "Beams")
+    head = text[text.index("</h1>") :]
+    first = "<th>to check</th><td>a &lt; b</td>" if to_check else "<th>result</th>"
+    assert head.startswith(f'</h1>\n<div class="{kind} wide"><table><tr>{first}')
+
+
 def test_wrong_arguments(tmp_path, monkeypatch):
     problem, uh, fields = solved("triangle")
     report = problem.report
