@@ -11,7 +11,13 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged, UnstableTangent, format_point
+from fenics_tfeti.errors import (
+    InputError,
+    NotConverged,
+    UnstableTangent,
+    first_few,
+    format_point,
+)
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
 from fenics_tfeti.fem.contact.contact_set import ContactSet
@@ -24,11 +30,12 @@ from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
+from fenics_tfeti.feti.coarse.free_motions import describe_free_motions
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.feti.tolerances import CERTIFIED
 from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.options import NewtonOptions
-from fenics_tfeti.parallel import any_rank, print_on_first_rank
+from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
@@ -282,7 +289,8 @@ class NewtonIteration:
             solution = self._solve(prepare_tangents(system, "projected"), rtol, monitor)
         parts = load_step.torn.torn.subdomains
         fill_displacement(self._increment, parts, solution.displacements)
-        return solution
+        free = describe_free_motions(system, solution.active, solution.sticking)
+        return replace(solution, report=replace(solution.report, free_motions=free))
 
     def _accuracy(self, state: NewtonState) -> float:
         """Return the accuracy of the next linearised problem. Collective.
@@ -307,7 +315,18 @@ class NewtonIteration:
             self._mixing.forget()
         if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
             return None
-        return self._mixing.mix(step)
+        mixed = self._mixing.mix(step)
+        return None if mixed is None or self._is_far(state, mixed, step) else mixed
+
+    def _is_far(self, state: NewtonState, mixed: Iterate, step: Iterate) -> bool:
+        """Tell whether a mixed step goes farther than facets are long. Collective.
+
+        Where hardly anything resists sliding, the steps to come are not known that far.
+        """
+        comm, pairings = self._load_step.torn.nodes.comm, state.rows.conditions.pairings
+        sizes = [pairing.surface.size.max(initial=0.0) for pairing in pairings]
+        farther = largest_of_ranks(comm, np.abs(mixed.increment - step.increment))
+        return bool(pairings) and farther > largest_of_ranks(comm, sizes)
 
     def _shortened(
         self, step: Iterate, multipliers: Multipliers, length: float, last: DeformedRows
@@ -324,8 +343,8 @@ class NewtonIteration:
                 length *= 0.5
                 if length < _SHORTEST:
                     raise NotConverged(
-                        f"Newton's method cannot go on: already after {2.0 * length:.1g} of the "
-                        f"step {error}. {_SMALLER}"
+                        f"{self._free()}Newton's method cannot go on: already after "
+                        f"{2.0 * length:.1g} of the step {error}. {_SMALLER}"
                     ) from None
 
     def _not_converged(self, state: NewtonState) -> str:
@@ -335,7 +354,8 @@ class NewtonIteration:
             if report.converged
             else f", and the last linearised problem is not solved: {report.reason}"
         )
-        return self._alternation(state.rows.surface_nodes) + (
+        return (
+            f"{self._free()}{self._alternation(state.rows.surface_nodes)}"
             f"no equilibrium after {len(self.steps)} steps of Newton's method (newton_max_it): "
             f"residual {end.residual:.1e}, the largest at {end.place}, penetration "
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
@@ -363,6 +383,13 @@ class NewtonIteration:
         misfit = extremes(comm, distance[is_wrong], number, len(names), 0.0)
         worst = int(misfit.argmax()) if len(names) else 0
         return f"; surfaces are farthest from touching at {names[worst]}" if misfit.any() else ""
+
+    def _free(self) -> str:
+        """Say which motions nothing resists, if there are any."""
+        motions = first_few(self.solution.report.free_motions, 3, "free motions")
+        if not motions:
+            return ""
+        return f"hold what supports and pressing contacts leave free ({'; '.join(motions)}): "
 
     def _alternation(self, surface_nodes: Numbers) -> str:
         """Say at which nodes contact opens and closes in turn, if at any. Collective."""

@@ -32,6 +32,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError, format_point
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
+from fenics_tfeti.feti.coarse.free_motions import rows_on_bodies
 from fenics_tfeti.feti.coarse.resistance import weak_motions
 from fenics_tfeti.feti.factors.cholesky import SparseFactor, choose_package, sparse_cholesky
 from fenics_tfeti.feti.local.congruence import find_congruence_classes
@@ -45,7 +46,7 @@ from fenics_tfeti.feti.local.rigid_body_modes import (
 )
 from fenics_tfeti.feti.system import Subdomain, TornSystem
 from fenics_tfeti.feti.tolerances import ENERGY, NEGLIGIBLE, WEAK, ZERO, rounding
-from fenics_tfeti.parallel import Directory, raise_collectively
+from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 TangentKind = Literal["auto", "exact", "projected"]
@@ -253,29 +254,9 @@ def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
 
     Bodies have their centres (bodies, gdim) and sizes (bodies,).
     """
-    gdim, modes, bodies = system.gdim, 3 * system.gdim - 3, sizes.size
-    prescribed, tied = system.prescribed, system.tied
-    nodes = np.append(prescribed.nodes, tied.nodes)
-    row = np.append(np.arange(prescribed.nodes.size), prescribed.nodes.size + tied.row)
-    terms = np.vstack([np.identity(gdim)[prescribed.components], tied.coefficients])
-    body, x = _bodies_and_places(system, nodes)
-    motions = raw_modes((x - centres[body]) / sizes[body, None], np.zeros(gdim))
-    moved = np.einsum("ti,tim->tm", terms, motions.reshape(-1, gdim, modes))
-    # rows of unit length, as a motion is resisted or not whatever the area of a tied node
-    squares = np.bincount(row, np.sum(terms**2, axis=1))
-    moved /= np.sqrt(squares[row, None])
-    columns = body[:, None] * modes + np.arange(modes)
-    shape = squares.size, modes * bodies
-    places = np.repeat(row, modes), columns.ravel()
-    rows = sp.csr_matrix((moved.ravel(), places), shape=shape)
+    gdim, bodies = system.gdim, sizes.size
+    rows = rows_on_bodies(system, [system.tied], centres, sizes)
+    modes = rows.shape[1] // bodies
     _, free = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
     rotations = np.abs(free.toarray()).reshape(bodies, modes, -1)[:, gdim:]
     return rotations.max(axis=(1, 2), initial=0.0) <= NEGLIGIBLE
-
-
-def _bodies_and_places(system: TornSystem, nodes: Numbers) -> tuple[Numbers, Vector]:
-    """Return the bodies (k,) and the places (k, gdim) of any nodes (k,). Collective."""
-    directory = Directory(system.comm, np.unique(system.nodes))
-    tables = directory.table(system.nodes, system.at_copies(system.bodies), system.coordinates)
-    _, body, x = directory.lookup(nodes, *tables)
-    return body, x

@@ -60,7 +60,7 @@ def body_motions(
     R_i are in the frames of the subdomains; `everyone` is G' with the columns of all ranks,
     (m, coarse), in the rows that this rank holds. Collective.
     """
-    basis, supports, distance = _motions_and_supports(system, kernels)
+    basis, supports, _, distance = motions_and_supports(system, kernels)
     # also that of coordinates far from the origin
     trace = max(rounding(1.0, MANY), rounding(distance, FEW))
     lengths = constraints.lengths_of_rows()
@@ -71,10 +71,14 @@ def body_motions(
     return BodyMotions(basis, moved.tocsr(), supports, trace)
 
 
-def _motions_and_supports(
+def motions_and_supports(
     system: TornSystem, kernels: Sequence[Vector]
-) -> tuple[sp.csr_matrix, Vector, float]:
-    """Return T, E of `BodyMotions`, and the largest |x| / body size."""
+) -> tuple[sp.csr_matrix, Vector, list[Vector], float]:
+    """Return T and E of `BodyMotions`, their motions, and the largest |x| / body size.
+
+    The motions are columns (modes, modes) of combinations of each body's raw modes, about its
+    centre and in units of its size. Collective.
+    """
     comm = system.comm
     gdim = system.gdim
     modes = 3 if gdim == 2 else 6
@@ -116,7 +120,7 @@ def _motions_and_supports(
     ]
     supports: Vector = np.array(scaled).reshape(bodies, modes, modes)
     supports[np.abs(supports) <= rounding(1.0, MANY)] = 0.0
-    return basis, supports, largest_of_ranks(comm, distance)
+    return basis, supports, inverse, largest_of_ranks(comm, distance)
 
 
 def _orthonormal_motions(gram: Vector) -> Vector:
