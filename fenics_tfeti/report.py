@@ -15,6 +15,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results, RigidBodyResult
 from fenics_tfeti.fem.io.scene import gather_scene
+from fenics_tfeti.fem.mesh_error.estimate import MeshErrorEntry
 from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -42,6 +43,8 @@ class ContactReport(Report):
     largest_displacement, largest_strain : float
         The largest displacement of a node [m], and the largest principal strain by magnitude at
         midpoints of cells, with finite strains that of Green and Lagrange.
+    mesh_error : MeshErrorEntry or None
+        The error of the mesh, once `ContactProblem.mesh_error` was called.
     per_length : bool
         Whether forces, moments and energies are those of a unit of length: in two dimensions, if
         the problem has no `measure_weight`.
@@ -60,6 +63,7 @@ class ContactReport(Report):
     to_check: tuple[str, ...] = ()
     largest_displacement: float = 0.0
     largest_strain: float = 0.0
+    mesh_error: MeshErrorEntry | None = None
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
@@ -82,7 +86,10 @@ class ContactReport(Report):
             f"{'largest':>16}  displacement {self.largest_displacement:.3g} {self.units.length}, "
             f"strain {self.largest_strain:.2g}"
         )
-        return "\n".join([*to_check, *table, *roles, self.summary(self.units.force), largest])
+        lines = [*to_check, *table, *roles, self.summary(self.units.force), largest]
+        if self.mesh_error is not None:
+            lines.append(f"{'error of mesh':>16}  {self.mesh_error}")
+        return "\n".join(lines)
 
     def to_html(
         self,

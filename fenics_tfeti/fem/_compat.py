@@ -424,6 +424,23 @@ def compiled_expression(expression: Any, space: fem.FunctionSpace) -> fem.Expres
         return fem.Expression(expression, points)
 
 
+def expression_at(expression: Any, points: Vector, domain: mesh.Mesh) -> fem.Expression:
+    """Compile a UFL expression, to be evaluated at points (q, d) of the reference cell."""
+    expression = with_constants(expression, domain)
+    with compiling(extract_coefficients(expression)):
+        return fem.Expression(expression, np.ascontiguousarray(points))
+
+
+def evaluate_expression(compiled: fem.Expression, domain: mesh.Mesh, cells: Indices) -> Vector:
+    """Return the values of a compiled expression in some cells of this rank, cell by cell.
+
+    - ``eval`` has the arguments (cells) in 0.5.2, (mesh, cells) in 0.9 to 0.11.
+    """
+    has_mesh = "mesh" in inspect.signature(fem.Expression.eval).parameters
+    arguments = (domain, cells) if has_mesh else (cells,)
+    return np.asarray(compiled.eval(*arguments)).reshape(cells.size, -1)
+
+
 def list_pieces(index: Path, pieces: Sequence[str]) -> None:
     """Replace the list of .vtu files in the .pvtu file that ``io.VTKFile`` writes on all ranks.
 

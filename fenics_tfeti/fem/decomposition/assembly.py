@@ -249,6 +249,19 @@ class TornMesh:
         with self._timer.phase("assembly"):
             return self.forms.subdomains(self._parts, known, self._nodes)
 
+    def at_cells(self, displacements: Sequence[Vector]) -> tuple[Indices, Vector]:
+        """Return the cells of the subdomains, and their nodes' displacements (cells, n, gdim).
+
+        Displacements (n_i,) are those of the subdomains; those of rigid bodies may follow.
+        """
+        gdim = self._space.dofmap.index_map_bs
+        cells = [np.zeros(0, dtype=np.int32)]
+        values = [np.zeros((0, _compat.cell_dofs(self._space).shape[1], gdim))]
+        for part, u in zip(self._parts, displacements, strict=False):
+            cells.append(part.cells)
+            values.append(u.reshape(-1, gdim)[part.table])
+        return np.concatenate(cells), np.concatenate(values)
+
     def matrices(self, forms: PreparedForms) -> list[sp.csr_matrix]:
         """Return the matrices of other forms on the subdomains. Collective."""
         with self._timer.phase("assembly"):

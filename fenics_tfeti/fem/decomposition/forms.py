@@ -64,6 +64,13 @@ class PreparedForm:
             mask[self._entities(kind, tag, cells)[0]] = True
         return mask
 
+    def has_tag(self, kind: str, cells: Indices, tags: Sequence[int] | None) -> Mask:
+        """Tell which of some of this rank's cells have one of some tags; None are all cells."""
+        if tags is None:
+            return np.ones(cells.size, dtype=bool)
+        chosen = [self.ids[kind].index(tag) for tag in tags]
+        return np.isin(self.numbers[kind][cells], chosen)
+
     def _entities(self, kind: str, tag: int, cells: Indices) -> tuple[Indices, ...]:
         """Return the rows of the cells that an integral is over, or those of facets and these."""
         numbers = self.numbers[kind][cells]

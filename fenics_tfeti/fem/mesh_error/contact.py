@@ -1,0 +1,132 @@
+"""Contacts in the error of the mesh: their facets, and the work of pressures over open gaps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
+from fenics_tfeti.fem.contact.contact_set import FoundContact, FoundTie
+from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
+from fenics_tfeti.fem.contact.solution.results import ContactResult
+from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
+from fenics_tfeti.fem.mesh_error.faces import CellFaces
+from fenics_tfeti.fem.mesh_error.tractions import over_ranks
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.reference_cells import shape_values
+from fenics_tfeti.fem.topology import dense_tags
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) -> Mask:
+    """Tell which facets (k, f) are on the surfaces of a contact or tie. Collective.
+
+    Conditions without surfaces are on the facets all of whose nodes they are at.
+    """
+    user = entry.contact if isinstance(entry, FoundContact) else entry.tie
+    if hasattr(user, "facet_tags"):
+        return tagged(faces, user.facet_tags, surface_tags(user))
+    assert isinstance(entry, FoundTie)
+    numbers = np.unique(entry.pairing.rows.nodes)
+    marks = nodes.sum_at_owners(numbers[numbers < nodes.total], np.ones(numbers.size, dtype=bool))
+    mask = np.zeros(nodes.size, dtype=bool)
+    mask[: nodes.owned] = marks > 0
+    return over_ranks(nodes, mask, np.logical_or)[faces.facet_nodes()].all(axis=2)
+
+
+def tagged(faces: CellFaces, facet_tags: object, tags: list[int]) -> Mask:
+    """Tell which facets (k, f) have one of some tags."""
+    index_map = faces.space.mesh.topology.index_map(faces.dim - 1)
+    dense = dense_tags(facet_tags, index_map.size_local + index_map.num_ghosts)
+    return np.isin(dense[faces.facets], tags)
+
+
+def gap_energies(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_exact: bool) -> Vector:
+    """Return the integrals 2 p (gap - u_n)_+ over the slave's facets, by cell (k, 2) [J].
+
+    First over all facets with a pressure, second over those alone all of whose vertices have one.
+    The pressure p is linear between nodes. Gaps are `is_exact` those of the deformed surfaces.
+    Collective.
+    """
+    total = np.zeros((faces.size, 2))
+    weight = solved.conditions.boundary.nodal_weight()
+    for found, result in zip(solved.conditions.contacts, solved.contacts, strict=True):
+        pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.pressure, 0.0))
+        corners = pressure[faces.facet_corners()]
+        on_slave = tagged(faces, found.contact.facet_tags, [found.contact.slave])
+        k, f = np.nonzero(on_slave & (corners > 0.0).any(axis=2))
+        at_points = _linear(faces)[f]
+        p = np.einsum("kqv,kv->kq", at_points, corners[k, f])
+        weighted = faces.weighted_normals(k)[np.arange(k.size), f]
+        size = np.linalg.norm(weighted, axis=2)
+        if isinstance(found.contact, RigidObstacle):
+            gap = _gaps_to_obstacle(faces, found, solved, (k, f), weighted / size[..., None], is_exact)
+        else:
+            gap = _gaps_between_nodes(faces, nodes, result, (k, f))
+        if weight is not None:
+            size = size * np.einsum("kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f])
+        values = 2.0 * np.sum(p * np.maximum(gap, 0.0) * size, axis=1)
+        np.add.at(total[:, 0], k, values)
+        np.add.at(total[:, 1], k, np.where((corners[k, f] > 0.0).all(axis=1), values, 0.0))
+    return total
+
+
+def at_local_nodes(nodes: NodeMap, dofs: Numbers, values: Vector) -> Vector:
+    """Return values at nodes that this rank owns for all of its nodes, zero elsewhere. Collective."""
+    local = np.zeros(nodes.size)
+    local[dofs] = values
+    return over_ranks(nodes, local)
+
+
+def _linear(faces: CellFaces) -> Vector:
+    """Return the linear shape functions (f, q, v) of the corners of facets."""
+    name = faces.kind.name
+    return np.array(
+        [
+            shape_values(name, 1, points)[:, corners]
+            for points, corners in zip(faces.rule.points, faces.corners, strict=True)
+        ]
+    )
+
+
+def _gaps_to_obstacle(
+    faces: CellFaces,
+    found: FoundContact,
+    solved: SolvedContacts,
+    facets: tuple[Numbers, Numbers],
+    normal: Vector,
+    is_exact: bool,
+) -> Vector:
+    """Return the distances (k, q) of points on facets to an obstacle [m]. Collective."""
+    (k, f), d = facets, faces.dim
+    shape = k.size, normal.shape[1], d
+    x, u = np.zeros(shape), np.zeros(shape)
+    nodal = solved.displacement.x.array.reshape(-1, d)[faces.facet_nodes(k)[np.arange(k.size), f]]
+    for number, points in enumerate(faces.rule.points):
+        on = f == number
+        x[on] = faces.points(points, k[on])
+        u[on] = faces.rule.traces[number] @ nodal[on]
+    bodies, surface = solved.bodies, found.pairing.surface
+    contact = found.contact_at(bodies) if is_exact else found.contact
+    assert isinstance(contact, RigidObstacle)
+    places = (x + u if is_exact else x).reshape(-1, d)
+    padded = np.pad(places, ((0, 0), (0, 3 - d)))
+    gap, outward = gap_and_normal(surface, contact.obstacle, padded, normal.reshape(-1, d))
+    if not is_exact:
+        moved = u.reshape(-1, d)
+        if contact.body is not None:
+            frame = bodies.frame_of(contact.body)
+            on_body = places - outward * np.where(np.isfinite(gap), gap, 0.0)[:, None]
+            moved = moved - frame.displacements(frame.motion, on_body)
+        gap = gap + np.sum(outward * moved, axis=1)
+    return np.where(np.isfinite(gap), gap, 0.0).reshape(shape[:2])
+
+
+def _gaps_between_nodes(
+    faces: CellFaces, nodes: NodeMap, result: ContactResult, facets: tuple[Numbers, Numbers]
+) -> Vector:
+    """Return the openings (k, q) at points on facets, by those at nodes [m]. Collective."""
+    finite = np.where(np.isfinite(result.opening), result.opening, 0.0)
+    opening, (k, f) = at_local_nodes(nodes, result.dofs, finite), facets
+    at_nodes = opening[faces.facet_nodes(k)[np.arange(k.size), f]]
+    return np.einsum("kqt,kt->kq", faces.rule.traces[f], at_nodes)

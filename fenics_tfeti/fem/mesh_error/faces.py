@@ -1,0 +1,126 @@
+"""Facets of single cells: their nodes, quadrature, outward normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+
+import numpy as np
+
+import basix
+from dolfinx.fem import FunctionSpace
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.reference_cells import (
+    ReferenceCell,
+    lagrange_points,
+    quadrature,
+    reference_cell,
+    shape_gradients,
+    shape_values,
+)
+from fenics_tfeti.fem.topology import cell_facets, cell_type
+from fenics_tfeti.typing import Indices, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class FacetRule:
+    """Quadrature on the f facets of a reference cell, with the traces of the shape functions."""
+
+    points: Vector  # (f, q, d)
+    weights: Vector  # (q,)
+    traces: Vector  # (f, q, t): shape functions of a facet's nodes
+    normals: Vector  # (f, d): outward, as long as the facet is large
+
+    @staticmethod
+    @cache
+    def of(name: str, degree: int) -> FacetRule:
+        """Return a rule for loads and pressures on facets with nodes of a degree."""
+        kind = reference_cell(name)
+        x, weights = quadrature(kind.facet.name, 2 * degree + 4)
+        corners = np.asarray(basix.geometry(getattr(basix.CellType, name)))
+        outward = np.asarray(basix.cell.facet_outward_normals(getattr(basix.CellType, name)))
+        points, traces, normals = [], [], []
+        x = x.reshape(weights.size, -1)
+        for number, vertices in enumerate(kind.facets):
+            edges = corners[list(vertices[1 : kind.dim])] - corners[vertices[0]]
+            size = np.linalg.norm(edges[0] if kind.dim == 2 else np.cross(*edges))
+            points.append(corners[vertices[0]] + x @ edges)
+            values = shape_values(name, degree, points[-1])
+            traces.append(values[:, list(kind.facet_nodes(degree)[number])])
+            normals.append(outward[number] * size)
+        return FacetRule(np.array(points), weights, np.array(traces), np.array(normals))
+
+
+class CellFaces:
+    """The k cells of deformable bodies that this rank owns, each with its facets.
+
+    `cells` are their numbers; other arrays have a row for each of them.
+    """
+
+    def __init__(self, space: FunctionSpace, cells: Indices) -> None:
+        domain = space.mesh
+        self.space, self.cells = space, cells
+        self.kind: ReferenceCell = cell_type(domain)
+        self.dim, self.degree = self.kind.dim, _compat.element_facts(space)[1]
+        self.rule = FacetRule.of(self.kind.name, self.degree)
+        self.closure: Numbers = np.array(self.kind.facet_nodes(self.degree))  # (f, t)
+        self.corners: Numbers = np.array(self.kind.facet_nodes(1))  # (f, v)
+        self.nodes: Indices = _compat.cell_dofs(space)[cells]  # (k, n): local nodes
+        self.facets: Indices = cell_facets(domain)[cells]  # (k, f): local facets
+        self._geometry = _compat.geometry_degree(domain)
+
+    @property
+    def size(self) -> int:
+        """The number of cells."""
+        return int(self.cells.size)
+
+    @cached_property
+    def node_count(self) -> int:
+        """The number of nodes that this rank has, ghosts included."""
+        index_map = self.space.dofmap.index_map
+        return int(index_map.size_local + index_map.num_ghosts)
+
+    def facet_nodes(self, rows: Numbers | slice = slice(None)) -> Indices:
+        """Return the local nodes (k, f, t) of the facets of some of the cells."""
+        return self.nodes[rows][:, self.closure]
+
+    def facet_corners(self, rows: Numbers | slice = slice(None)) -> Indices:
+        """Return the local nodes (k, f, v) at the vertices of the facets of some of the cells."""
+        return self.nodes[rows][:, self.corners]
+
+    def points(self, reference: Vector, rows: Numbers | slice = slice(None)) -> Vector:
+        """Return the places (k, q, d) of points of the reference cell [m]."""
+        shapes = shape_values(self.kind.name, self._geometry, reference)
+        return np.asarray(np.matmul(shapes, self._coordinates(rows)))
+
+    def node_points(self, degree: int, rows: Numbers | slice = slice(None)) -> Vector:
+        """Return the places (k, n, d) of the nodes of a degree [m]."""
+        return self.points(lagrange_points(self.kind.name, degree), rows)
+
+    def weighted_normals(self, rows: Numbers | slice = slice(None)) -> Vector:
+        """Return the outward normals n dS (k, f, q, d) at the points of the facets' rule."""
+        x, rule = self._coordinates(rows), self.rule
+        weighted = []
+        for points, normal in zip(rule.points, rule.normals, strict=True):
+            J = self._jacobians(x, points)
+            directions = np.linalg.solve(np.swapaxes(J, -1, -2), normal[:, None])[..., 0]
+            sizes = np.abs(np.linalg.det(J)) * rule.weights
+            weighted.append(directions * sizes[..., None])
+        return np.stack(weighted, axis=1)
+
+    def volumes(self) -> Vector:
+        """Return the volumes (k,) of the cells, or their areas [m^d]."""
+        points, weights = quadrature(self.kind.name, 2 * self._geometry * self.dim)
+        J = self._jacobians(self._coordinates(slice(None)), points)
+        return np.asarray(np.abs(np.linalg.det(J)) @ weights)
+
+    def _coordinates(self, rows: Numbers | slice) -> Vector:
+        geometry = self.space.mesh.geometry
+        nodes = _compat.geometry_cells(self.space.mesh)[self.cells[rows]]
+        return np.asarray(geometry.x[nodes][..., : self.dim])
+
+    def _jacobians(self, x: Vector, points: Vector) -> Vector:
+        """Return the derivatives (k, q, d, d) of places by coordinates of the reference cell."""
+        gradients = shape_gradients(self.kind.name, self._geometry, points)
+        return np.stack([np.matmul(D, x) for D in gradients], axis=-1)

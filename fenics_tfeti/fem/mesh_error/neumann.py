@@ -1,0 +1,149 @@
+"""Neumann problems of single cells, with displacements one degree higher than the solution's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+import ufl
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.forms import prepare_form
+from fenics_tfeti.fem.mesh_error.faces import CellFaces
+from fenics_tfeti.fem.reference_cells import lagrange_points, shape_values
+from fenics_tfeti.fem.topology import batches, exterior_cell_facets
+from fenics_tfeti.typing import Numbers, Vector
+
+# numbers in the matrices of the cells that are solved with at once
+_ENTRIES = 2**19
+# energy of a rigid motion of a cell, relative to its stiffness, that is more than rounding
+_RESISTED = 1e-9
+
+
+@dataclass(frozen=True)
+class CellEnergies:
+    """Energies a(e, e) = constant + 2 gradient . dm + dm . matrix dm of the errors e of k cells.
+
+    They depend on changes dm (s,) of the moments on a cell's facets; the constants and gradients
+    are those of v load cases.
+    """
+
+    matrix: Vector  # (k, s, s) [1/N * m]
+    gradient: Vector  # (k, s, v) [m]
+    constant: Vector  # (k, v) [J]
+    solution: Vector  # (k,): a(u, u) of the solution [J]
+
+
+class NeumannProblems:
+    """The problems of all cells; making them compiles the forms, and is collective."""
+
+    def __init__(
+        self,
+        faces: CellFaces,
+        a: ufl.Form,
+        L: ufl.Form,
+        compiler: _compat.CompilerOptions | None = None,
+    ) -> None:
+        self._faces, domain = faces, faces.space.mesh
+        degree, d = faces.degree + 1, faces.dim
+        self.space = space = _compat.lagrange_space(domain, degree, d, discontinuous=True)
+        v, u = ufl.TestFunction(space), ufl.TrialFunction(space)
+        arguments = dict(zip(a.arguments(), (v, u), strict=True))
+        exterior = exterior_cell_facets(domain)
+        self._a, self._L = (
+            prepare_form(space, _raised(form), name, exterior, compiler)
+            for form, name in (
+                (ufl.replace(a, arguments), "bilinear form a (the stiffness)"),
+                (ufl.replace(L, {L.arguments()[0]: v}), "linear form L (the load)"),
+            )
+        )
+        name, points = faces.kind.name, lagrange_points(faces.kind.name, degree)
+        self._interpolation = shape_values(name, faces.degree, points)
+        lifts = np.stack(self._lifts(degree), axis=1)  # (w, f, t)
+        lift = lifts[:, None, :, :, None] * np.eye(d)[None, :, None, None, :]
+        self._lift = lift.reshape(points.shape[0] * d, -1)  # (w * d, s)
+        self._degree = degree
+
+    def _lifts(self, degree: int) -> Iterator[Vector]:
+        """Yield for each facet the matrix from moments to functionals of traces of a degree.
+
+        They are the same for all cells, whatever their shapes.
+        """
+        rule, name = self._faces.rule, self._faces.kind.name
+        for points, traces in zip(rule.points, rule.traces, strict=True):
+            weighted = rule.weights[:, None] * shape_values(name, degree, points)
+            mass = (rule.weights[:, None] * traces).T @ traces
+            yield weighted.T @ traces @ np.linalg.inv(mass)
+
+    @property
+    def bytes(self) -> int:
+        """The memory that the energies of a cell take."""
+        return 8 * self._lift.shape[1] ** 2
+
+    def energies(self, rows: Numbers, u: Vector, moments: Vector) -> CellEnergies:
+        """Return the energies of some cells with displacements u (k, n, d) [m] and moments."""
+        s, v = self._lift.shape[1], moments.shape[-1]
+        Q, c = np.zeros((rows.size, s, s)), np.zeros((rows.size, v))
+        g, solution = np.zeros((rows.size, s, v)), np.zeros(rows.size)
+        for batch in batches(rows.size, max(1, _ENTRIES // self._lift.size)):
+            chosen = rows[batch]
+            A = self._a.element_tensors(self.space, self._faces.cells[chosen])
+            fine = (self._interpolation @ u[chosen]).reshape(chosen.size, -1, 1)
+            internal = A @ fine
+            solution[batch] = np.sum(fine * internal, axis=(1, 2))
+            load = self._L.element_tensors(self.space, self._faces.cells[chosen])[:, :, None]
+            load = load - internal + self._lift @ moments[chosen].reshape(chosen.size, s, v)
+            G = self._products(A, load, chosen)
+            Q[batch], g[batch] = G[:, :s, :s], G[:, :s, s:]
+            c[batch] = np.diagonal(G[:, s:, s:], axis1=1, axis2=2)
+        return CellEnergies(Q, g, c, solution)
+
+    def _products(self, A: Vector, load: Vector, rows: Numbers) -> Vector:
+        """Return B'A^+ B (k, s + v, s + v) for the lifts and the loads of cells."""
+        scale = np.trace(A, axis1=1, axis2=2)
+        R = rigid_motions(self._faces.node_points(self._degree, rows))
+        # springs and axisymmetric forms leave fewer motions free
+        energy, modes = np.linalg.eigh(R.transpose(0, 2, 1) @ A @ R)
+        R = (R @ modes) * (energy < _RESISTED * scale[:, None])[:, None, :]
+        A = A + (scale / A.shape[1])[:, None, None] * (R @ R.transpose(0, 2, 1))
+        lift = np.broadcast_to(self._lift, (rows.size, *self._lift.shape))
+        B = np.concatenate([lift, load], axis=2)
+        B = B - R @ (R.transpose(0, 2, 1) @ B)
+        return np.asarray(B.transpose(0, 2, 1) @ np.linalg.solve(A, B))
+
+
+def _raised(form: ufl.Form) -> ufl.Form:
+    """Return a form with rules that suit functions one degree higher, where it names rules."""
+    integrals = []
+    for integral in form.integrals():
+        metadata = dict(integral.metadata())
+        if isinstance(metadata.get("quadrature_degree"), int):
+            metadata["quadrature_degree"] += 2
+        integrals.append(integral.reconstruct(metadata=metadata))
+    return ufl.Form(integrals)
+
+
+def rigid_motions(x: Vector) -> Vector:
+    """Return orthonormal rigid motions (k, n * d, modes) of nodes (k, n, d)."""
+    translations = np.broadcast_to(np.eye(x.shape[2]), (*x.shape, x.shape[2]))
+    translations = translations.reshape(len(x), -1, x.shape[2])
+    return np.asarray(np.linalg.qr(np.concatenate([translations, rotations(x)], axis=2))[0])
+
+
+def axes(dim: int) -> tuple[tuple[int, int], ...]:
+    """Return the planes in which there are rotations."""
+    return ((0, 1),) if dim == 2 else ((0, 1), (1, 2), (2, 0))
+
+
+def rotations(x: Vector) -> Vector:
+    """Return the rotations (k, n * d, axes) of nodes (k, n, d) around their mean."""
+    k, n, d = x.shape
+    arm = x - x.mean(axis=1, keepdims=True)
+    moved = np.zeros((k, n, d, len(axes(d))))
+    for number, (a, b) in enumerate(axes(d)):
+        moved[:, :, a, number], moved[:, :, b, number] = -arm[..., b], arm[..., a]
+    return moved.reshape(k, n * d, -1)
+
+

@@ -1,0 +1,70 @@
+"""The stress of a displacement, read off the bilinear form.
+
+For the integrand of a(w, v) over cells, T : grad v + S . v, the test function v = e_i gives S_i, and
+v = x_j e_i gives T_ij + x_j S_i. Weights of the integral, such as 2 pi r, are in T.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+import ufl
+from dolfinx.fem import Function
+from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
+from ufl.algorithms.apply_derivatives import apply_derivatives
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.forms import PreparedForm
+from fenics_tfeti.typing import Indices, Vector
+
+
+class CellStress:
+    """T at points of the reference cell, compiled once; making it is collective."""
+
+    def __init__(self, form: PreparedForm, w: Function, points: Vector) -> None:
+        self._form, self._domain = form, w.function_space.mesh
+        self._points, self._dim = len(points), self._domain.geometry.dim
+        self._parts = [
+            (_tags(integral), _compat.expression_at(T, points, self._domain))
+            for integral, T in _stresses(form.form, w)
+        ]
+
+    def at(self, cells: Indices) -> Vector:
+        """Return T (k, q, d, d) at the points in some of this rank's cells."""
+        total = np.zeros((cells.size, self._points, self._dim, self._dim))
+        for tags, compiled in self._parts:
+            values = _compat.evaluate_expression(compiled, self._domain, cells)
+            on = self._form.has_tag("cell", cells, tags)
+            total += values.reshape(total.shape) * on[:, None, None, None]
+        # on the axis of rotation the hoop strain is u_r / r, and its factor r
+        return np.nan_to_num(total)
+
+
+def _stresses(form: ufl.Form, w: Function) -> list[tuple[Any, Any]]:
+    """Return the integrals of a bilinear form over cells, with the stress of w in each."""
+    v, u = form.arguments()
+    dim, x = len(v), ufl.SpatialCoordinate(w.function_space.mesh)
+    zero = 0 * x[0]
+
+    def tested(integrand: Any, i: int, factor: Any) -> Any:
+        """Return the integrand for the test function factor e_i."""
+        test = ufl.as_vector([factor if k == i else zero for k in range(dim)])
+        return apply_derivatives(apply_algebra_lowering(ufl.replace(integrand, {v: test})))
+
+    stresses = []
+    for integral in ufl.replace(form, {u: w}).integrals():
+        if integral.integral_type() != "cell":
+            continue
+        f = integral.integrand()
+        S = [tested(f, i, 1 + zero) for i in range(dim)]
+        T = [tested(f, i, x[j]) - x[j] * S[i] for i in range(dim) for j in range(dim)]
+        stresses.append((integral, ufl.as_vector(T)))
+    return stresses
+
+
+def _tags(integral: Any) -> list[int] | None:
+    """Return the tags that an integral is limited to, if it is."""
+    tags = integral.subdomain_id()
+    return None if tags in ("everywhere", "otherwise") else np.atleast_1d(tags).tolist()
