@@ -15,8 +15,8 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results, RigidBodyResult
 from fenics_tfeti.fem.io.scene import gather_scene
-from fenics_tfeti.fem.mesh_error.estimate import MeshErrorEntry
 from fenics_tfeti.fem.io.units import Units, units_of
+from fenics_tfeti.fem.mesh_error.estimate import MeshErrorEntry
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
 from fenics_tfeti.feti.report.report import FEW_LINES, without_nan

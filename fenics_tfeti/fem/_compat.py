@@ -90,7 +90,8 @@ def lagrange_space(
 ) -> fem.FunctionSpace:
     """Create a space of Lagrange functions with some components (0: scalar).
 
-    - 0.5.2 has ``FunctionSpace`` and ``VectorFunctionSpace`` for (family, degree);
+    - 0.5.2 has ``FunctionSpace`` and ``VectorFunctionSpace`` for (family, degree), and logs a
+      warning for discontinuous functions that have not the name of their cells;
     - 0.9 to 0.11 have ``functionspace`` for (family, degree, shape).
     """
     family = "DG" if discontinuous else "Lagrange"
@@ -99,6 +100,8 @@ def lagrange_space(
         if hasattr(fem, "functionspace"):
             shape = ((components,),) if components else ()
             return fem.functionspace(domain, (family, degree, *shape))
+        if discontinuous and not reference_cell(cell_name(domain)).is_simplex:
+            family = "DQ"
         if components:
             return fem.VectorFunctionSpace(domain, (family, degree), dim=components)
         return fem.FunctionSpace(domain, (family, degree))

@@ -41,7 +41,9 @@ def tagged(faces: CellFaces, facet_tags: object, tags: list[int]) -> Mask:
     return np.isin(dense[faces.facets], tags)
 
 
-def gap_energies(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_exact: bool) -> Vector:
+def gap_energies(
+    faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_exact: bool
+) -> Vector:
     """Return the integrals 2 p (gap - u_n)_+ over the slave's facets, by cell (k, 2) [J].
 
     First over all facets with a pressure, second over those alone all of whose vertices have one.
@@ -60,11 +62,15 @@ def gap_energies(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_ex
         weighted = faces.weighted_normals(k)[np.arange(k.size), f]
         size = np.linalg.norm(weighted, axis=2)
         if isinstance(found.contact, RigidObstacle):
-            gap = _gaps_to_obstacle(faces, found, solved, (k, f), weighted / size[..., None], is_exact)
+            gap = _gaps_to_obstacle(
+                faces, found, solved, (k, f), weighted / size[..., None], is_exact
+            )
         else:
             gap = _gaps_between_nodes(faces, nodes, result, (k, f))
         if weight is not None:
-            size = size * np.einsum("kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f])
+            size = size * np.einsum(
+                "kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f]
+            )
         values = 2.0 * np.sum(p * np.maximum(gap, 0.0) * size, axis=1)
         np.add.at(total[:, 0], k, values)
         np.add.at(total[:, 1], k, np.where((corners[k, f] > 0.0).all(axis=1), values, 0.0))
@@ -72,7 +78,7 @@ def gap_energies(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_ex
 
 
 def at_local_nodes(nodes: NodeMap, dofs: Numbers, values: Vector) -> Vector:
-    """Return values at nodes that this rank owns for all of its nodes, zero elsewhere. Collective."""
+    """Return values of owned nodes at all local nodes, zero where there are none. Collective."""
     local = np.zeros(nodes.size)
     local[dofs] = values
     return over_ranks(nodes, local)

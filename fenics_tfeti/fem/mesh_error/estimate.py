@@ -207,8 +207,9 @@ class MeshError:
         comm, squares = self._comm, self._squares
         with raise_collectively(comm):
             check_value(0.0 < share <= 1.0, "mark: share", share, "a number in (0, 1]")
-        total, largest = comm.allreduce(squares.sum()), comm.allreduce(
-            squares.max(initial=0.0), MPI.MAX
+        total, largest = (
+            comm.allreduce(squares.sum()),
+            comm.allreduce(squares.max(initial=0.0), MPI.MAX),
         )
         low, high = 0.0, largest
         # the largest limit above which the cells have the share
@@ -271,6 +272,7 @@ class MeshError:
         W = self.cells.function_space
         dofs = _compat.cell_dofs(W)[: owned_cells(W.mesh), 0]
         return np.asarray(self.cells.x.array[dofs] ** 2, dtype=float)
+
 
 # volumes of equilateral cells with edges of length 1
 _EQUILATERAL = {

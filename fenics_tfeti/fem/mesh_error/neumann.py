@@ -52,7 +52,7 @@ class NeumannProblems:
         v, u = ufl.TestFunction(space), ufl.TrialFunction(space)
         arguments = dict(zip(a.arguments(), (v, u), strict=True))
         exterior = exterior_cell_facets(domain)
-        self._a, self._L = (
+        self.bilinear, self.linear = (
             prepare_form(space, _raised(form), name, exterior, compiler)
             for form, name in (
                 (ufl.replace(a, arguments), "bilinear form a (the stiffness)"),
@@ -61,9 +61,9 @@ class NeumannProblems:
         )
         name, points = faces.kind.name, lagrange_points(faces.kind.name, degree)
         self._interpolation = shape_values(name, faces.degree, points)
-        lifts = np.stack(self._lifts(degree), axis=1)  # (w, f, t)
+        lifts = np.stack(list(self._lifts(degree)), axis=1)  # (w, f, t)
         lift = lifts[:, None, :, :, None] * np.eye(d)[None, :, None, None, :]
-        self._lift = lift.reshape(points.shape[0] * d, -1)  # (w * d, s)
+        self.lift = lift.reshape(points.shape[0] * d, -1)  # (w * d, s)
         self._degree = degree
 
     def _lifts(self, degree: int) -> Iterator[Vector]:
@@ -80,25 +80,39 @@ class NeumannProblems:
     @property
     def bytes(self) -> int:
         """The memory that the energies of a cell take."""
-        return 8 * self._lift.shape[1] ** 2
+        return 8 * self.lift.shape[1] ** 2
 
     def energies(self, rows: Numbers, u: Vector, moments: Vector) -> CellEnergies:
         """Return the energies of some cells with displacements u (k, n, d) [m] and moments."""
-        s, v = self._lift.shape[1], moments.shape[-1]
+        s, v = self.lift.shape[1], moments.shape[-1]
         Q, c = np.zeros((rows.size, s, s)), np.zeros((rows.size, v))
         g, solution = np.zeros((rows.size, s, v)), np.zeros(rows.size)
-        for batch in batches(rows.size, max(1, _ENTRIES // self._lift.size)):
+        for batch in batches(rows.size, max(1, _ENTRIES // self.lift.size)):
             chosen = rows[batch]
-            A = self._a.element_tensors(self.space, self._faces.cells[chosen])
-            fine = (self._interpolation @ u[chosen]).reshape(chosen.size, -1, 1)
-            internal = A @ fine
-            solution[batch] = np.sum(fine * internal, axis=(1, 2))
-            load = self._L.element_tensors(self.space, self._faces.cells[chosen])[:, :, None]
-            load = load - internal + self._lift @ moments[chosen].reshape(chosen.size, s, v)
+            A, internal, energy = self._internal(chosen, u[chosen])
+            solution[batch] = energy
+            load = self._external(chosen, moments[chosen]) - internal
             G = self._products(A, load, chosen)
             Q[batch], g[batch] = G[:, :s, :s], G[:, :s, s:]
             c[batch] = np.diagonal(G[:, s:, s:], axis1=1, axis2=2)
         return CellEnergies(Q, g, c, solution)
+
+    def loads(self, rows: Numbers, u: Vector, moments: Vector) -> Vector:
+        """Return the loads (k, w, v) of the problems of some cells [N]."""
+        internal = self._internal(rows, u[rows])[1]
+        return self._external(rows, moments[rows]) - internal
+
+    def _internal(self, rows: Numbers, u: Vector) -> tuple[Vector, Vector, Vector]:
+        """Return stiffness matrices, internal forces (k, w, 1), and energies a(u, u)."""
+        A = self.bilinear.element_tensors(self.space, self._faces.cells[rows])
+        fine = (self._interpolation @ u).reshape(rows.size, -1, 1)
+        internal = A @ fine
+        return A, internal, np.sum(fine * internal, axis=(1, 2))
+
+    def _external(self, rows: Numbers, moments: Vector) -> Vector:
+        load = self.linear.element_tensors(self.space, self._faces.cells[rows])
+        on_facets = moments.reshape(rows.size, self.lift.shape[1], -1)
+        return load[:, :, None] + self.lift @ on_facets
 
     def _products(self, A: Vector, load: Vector, rows: Numbers) -> Vector:
         """Return B'A^+ B (k, s + v, s + v) for the lifts and the loads of cells."""
@@ -108,7 +122,7 @@ class NeumannProblems:
         energy, modes = np.linalg.eigh(R.transpose(0, 2, 1) @ A @ R)
         R = (R @ modes) * (energy < _RESISTED * scale[:, None])[:, None, :]
         A = A + (scale / A.shape[1])[:, None, None] * (R @ R.transpose(0, 2, 1))
-        lift = np.broadcast_to(self._lift, (rows.size, *self._lift.shape))
+        lift = np.broadcast_to(self.lift, (rows.size, *self.lift.shape))
         B = np.concatenate([lift, load], axis=2)
         B = B - R @ (R.transpose(0, 2, 1) @ B)
         return np.asarray(B.transpose(0, 2, 1) @ np.linalg.solve(A, B))
@@ -145,5 +159,3 @@ def rotations(x: Vector) -> Vector:
     for number, (a, b) in enumerate(axes(d)):
         moved[:, :, a, number], moved[:, :, b, number] = -arm[..., b], arm[..., a]
     return moved.reshape(k, n * d, -1)
-
-

@@ -10,6 +10,7 @@ told of.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -42,6 +43,9 @@ class FacetMoments:
     moment: Vector  # (t, d) [N]
 
 
+Table = TypeVar("Table", CellForces, FacetMoments)
+
+
 def balanced_moments(
     nodes: NodeMap, forces: CellForces, moments: FacetMoments
 ) -> tuple[Vector, Vector]:
@@ -60,8 +64,9 @@ def balanced_moments(
     np.maximum.at(imbalance, nodes.to_local(own_forces.node), missing)
     if comm.size > 1:
         sent = np.flatnonzero(~is_own)
-        at_owner = [_sent(nodes, part) for part in _common(nodes, forces, moments, shared)]
-        (forces_there, _), (moments_there, sender) = at_owner
+        common = _rows(forces, shared[nodes.to_local(forces.node)])
+        forces_there, _ = _to_owners(nodes, common)
+        moments_there, sender = _to_owners(nodes, _rows(moments, ~is_own))
         solved, missing = _balanced(forces_there, moments_there)
         np.maximum.at(imbalance, nodes.to_local(forces_there.node), missing)
         # rows of a sender come back in the order in which it has sent them
@@ -71,7 +76,7 @@ def balanced_moments(
     return result, imbalance[: nodes.owned]
 
 
-def _rows(table: CellForces | FacetMoments, mask: Mask) -> CellForces | FacetMoments:
+def _rows(table: Table, mask: Mask) -> Table:
     """Return some rows of a table."""
     return type(table)(*(column[mask] for column in vars(table).values()))
 
@@ -87,21 +92,12 @@ def _on_several_ranks(nodes: NodeMap, used: Numbers) -> Mask:
     return shared
 
 
-def _common(
-    nodes: NodeMap, forces: CellForces, moments: FacetMoments, shared: Mask
-) -> list[CellForces | FacetMoments]:
-    return [_rows(part, shared[nodes.to_local(part.node)]) for part in (forces, moments)]
-
-
-def _sent(
-    nodes: NodeMap, table: CellForces | FacetMoments
-) -> tuple[CellForces | FacetMoments, Numbers]:
+def _to_owners(nodes: NodeMap, table: Table) -> tuple[Table, Numbers]:
     """Send rows to the owners of their nodes; return what arrives and the senders. Collective."""
     sender = np.full(table.node.size, nodes.comm.rank)
-    *columns, sender = send_rows(
-        nodes.comm, nodes.owners(table.node), *vars(table).values(), sender
-    )
-    return type(table)(*columns), sender
+    owners, columns = nodes.owners(table.node), vars(table).values()
+    *arrived, senders = send_rows(nodes.comm, owners, *columns, sender)
+    return type(table)(*arrived), senders
 
 
 def _balanced(forces: CellForces, moments: FacetMoments) -> tuple[Vector, Vector]:

@@ -51,7 +51,7 @@ class FacetMap:
     """
 
     def __init__(self, faces: CellFaces, rows: Numbers, free: Mask) -> None:
-        """Number the facets of some cells; `free` (g, f, d) are the moments that may change."""
+        """Take g cells, and the moments (g, f, d) on their facets that may change."""
         d, nodes = faces.dim, faces.facet_nodes(rows)
         t = nodes.shape[2]
         _, numbers = np.unique(faces.facets[rows], return_inverse=True)
@@ -188,9 +188,7 @@ class _Statics:
 class _RingBasis:
     """Changes of the moments on the facets of r rings without resultant on any of their cells."""
 
-    def __init__(
-        self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers
-    ) -> None:
+    def __init__(self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers) -> None:
         self._facets, self._statics, self._rings, self._own = facets, statics, rings, of_ring
         cells, local = rings.cells, rings.local
         own = facets.facets[cells[..., None], local]
@@ -222,7 +220,9 @@ class _RingBasis:
             Z[:, k, :, k * free : (k + 1) * free] = statics.without[self._own[:, k]]
             # unit resultants about the middle of the ring, by those about the facet's
             shift = 2.0 * back - self._shifted(back, k)
-            Z[:, k, :, j * free :] = sense[:, k, None, None] * (statics.unit[self._own[:, k]] @ shift)
+            Z[:, k, :, j * free :] = sense[:, k, None, None] * (
+                statics.unit[self._own[:, k]] @ shift
+            )
         return Z
 
     def _senses(self) -> Vector:
@@ -270,7 +270,9 @@ class _RingBasis:
         for q in range(cells.shape[1]):
             of_cell = np.zeros((r, 2, m, z))
             for side in range(2):
-                values = self._sign[:, q, side, None, None] * self.basis[every, self._place[:, q, side]]
+                values = (
+                    self._sign[:, q, side, None, None] * self.basis[every, self._place[:, q, side]]
+                )
                 order = self._facets.order[cells[:, q], local[:, q, side]]
                 order = np.broadcast_to(order[..., None], values.shape)
                 np.put_along_axis(of_cell[:, side], order, values, axis=1)

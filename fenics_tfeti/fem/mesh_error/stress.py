@@ -1,6 +1,6 @@
 """The stress of a displacement, read off the bilinear form.
 
-For the integrand of a(w, v) over cells, T : grad v + S . v, the test function v = e_i gives S_i, and
+The integrand of a(w, v) over cells is T : grad v + S . v. The test function v = e_i gives S_i, and
 v = x_j e_i gives T_ij + x_j S_i. Weights of the integral, such as 2 pi r, are in T.
 """
 

@@ -18,7 +18,7 @@ from fenics_tfeti.fem.mesh_error.stress import CellStress
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import batches, global_numbers
 from fenics_tfeti.parallel import Directory, any_rank, largest_of_ranks
-from fenics_tfeti.typing import Array, Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Vector
 
 # cells whose own tractions are computed at once
 _CELLS = 2**12
@@ -39,7 +39,9 @@ class FacetKinds:
     free: Mask  # (k, f, d): tractions between cells, and of supports
 
     @staticmethod
-    def of(faces: CellFaces, nodes: NodeMap, contact: Mask, exterior: Mask, fixed: Mask) -> FacetKinds:
+    def of(
+        faces: CellFaces, nodes: NodeMap, contact: Mask, exterior: Mask, fixed: Mask
+    ) -> FacetKinds:
         """Find the facets with one cell, on the boundary or at rigid bodies. Collective.
 
         `exterior` (k, f) are those on the boundary of the mesh.
@@ -145,18 +147,23 @@ def _shares(faces: CellFaces, nodes: NodeMap, contact: Mask, pressing: Mask) -> 
 
 
 def _balanced(
-    faces: CellFaces, nodes: NodeMap, kinds: FacetKinds, residual: Vector, known: Vector, own: Vector
+    faces: CellFaces,
+    nodes: NodeMap,
+    kinds: FacetKinds,
+    residual: Vector,
+    known: Vector,
+    own: Vector,
 ) -> tuple[Vector, Vector]:
     """Return all moments (k, f, t, d, v), and the imbalance (owned, d) of nodes. Collective."""
     topology = faces.space.mesh.topology
     force = np.repeat(residual[..., None], known.shape[-1], axis=-1)
-    for f, closure in enumerate(faces.closure):
-        force[:, closure] += known[:, f]
+    for number, closure in enumerate(faces.closure):
+        force[:, closure] += known[:, number]
     cell = global_numbers(topology.index_map(faces.dim), faces.cells)
     node = nodes.to_global(faces.nodes)
     facet = global_numbers(topology.index_map(faces.dim - 1), faces.facets)
     k, f = np.nonzero(kinds.free.any(axis=2))
-    t = faces.closure.shape[1]
+    t: int = faces.closure.shape[1]
     moments = known.copy()
     solved, imbalance = balanced_moments(
         nodes,
@@ -187,7 +194,7 @@ def _check_balance(nodes: NodeMap, imbalance: Vector, largest: float) -> None:
     place = format_point(nodes.coordinates[worst]) if sizes.size else ""
     size, place = max(nodes.comm.allgather((float(sizes.max(initial=0.0)), place)))
     raise InputError(
-        f"a force of {size:.4g} acts on the node at {place} alone, of whose facets none is supported "
-        "or belongs to a contact or tie: the exact displacement has infinite energy there, and the "
-        "mesh's error cannot be estimated. Support, load or tie whole facets"
+        f"a force of {size:.4g} acts on the node at {place} alone: none of its facets is supported, "
+        "or is one of a contact or tie. The exact displacement has infinite energy there, and the "
+        "error of the mesh cannot be estimated. Support, load or tie whole facets"
     )
