@@ -194,7 +194,7 @@ def _check_balance(nodes: NodeMap, imbalance: Vector, largest: float) -> None:
     place = format_point(nodes.coordinates[worst]) if sizes.size else ""
     size, place = max(nodes.comm.allgather((float(sizes.max(initial=0.0)), place)))
     raise InputError(
-        f"a force of {size:.4g} acts on the node at {place} alone: none of its facets is supported, "
+        f"a force of {size:.4g} acts on the node at {place} alone: none of its facets is supported "
         "or is one of a contact or tie. The exact displacement has infinite energy there, and the "
         "error of the mesh cannot be estimated. Support, load or tie whole facets"
     )
