@@ -54,3 +54,29 @@ def test_block_on_a_block(width):
         with pytest.raises(NotConverged, match=r"^hold what .*\(body 1 .*translation along \(1, "):
             problem.solve()
     assert np.abs(problem.u.x.array).max() < 0.02
+
+
+@pytest.mark.ranks(2)
+def test_weight_rolls_a_disc_onto_its_facet():
+    """Rolling is no free motion of a body with facets, which turns until one of them lies flat."""
+    tilt = 0.05
+
+    def rounded(x):
+        x, y = x[0] * np.sqrt(1 - x[1] ** 2 / 2), x[1] * np.sqrt(1 - x[0] ** 2 / 2)
+        c, s = np.cos(tilt), np.sin(tilt)
+        return np.stack([c * x - s * y, s * x + c * y])
+
+    marks, box = [(GROUND, at(1, -1.0)), (LOADED, at(1, 1.0))], ((-1, -1), (1, 1), (5, 5))
+    bodies = Scene.of_boxes(MPI.COMM_WORLD, "quadrilateral", [box], marks, rounded)
+    bodies.add_obstacle(GROUND, Plane((0, -1), (0, 1)))
+    problem = problem_of(bodies, 1e-5)
+    problem.solve()
+    V, u = bodies.V, problem.u
+    owned = V.dofmap.index_map.size_local
+    x = V.tabulate_dof_coordinates()[:owned, :2]
+    moved = x + u.x.array[: 2 * owned].reshape(x.shape)
+    sums = [np.sum(x * moved[:, ::-1] * (1, -1)), np.sum(x * moved)]
+    rolled = np.arctan2(*bodies.mesh.comm.allreduce(np.array(sums)))
+    assert rolled == pytest.approx(-tilt, rel=1e-6)
+    told = problem.report.free_motions
+    assert [text.split(": ")[1] for text in told] == ["translation along (1, 0)"]
