@@ -55,17 +55,10 @@ class CellGeometry:
         x = np.ascontiguousarray(domain.geometry.x[:, : domain.geometry.dim].T)
         midpoint = np.empty((len(x), body.size))
         size, lowest, highest, volume = np.empty((4, body.size))
-        points = lagrange_points(type_.name, degree)
-        # in simplices of degree 1 the determinant is constant
-        constant = type_.is_simplex and degree == 1
-        points = np.vstack([points[: 0 if constant else None], points.mean(axis=0)])
-        gradients = shape_gradients(type_.name, degree, points)
+        gradients = _gradients(type_, degree)
         for batch in batches(body.size, _CELLS):
             places = x[:, nodes[batch].T]
-            corners = places[:, : type_.vertices]
-            midpoint[:, batch] = corners.mean(axis=1)
-            spokes = corners - midpoint[:, None, batch]
-            size[batch] = 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
+            midpoint[:, batch], size[batch] = _midpoints_and_sizes(places, type_)
             values = determinants(np.array([D @ places for D in gradients]))
             volume[batch] = values[-1]
             lowest[batch], highest[batch] = values.min(axis=0), values.max(axis=0)
@@ -103,6 +96,42 @@ class CellGeometry:
         )
 
 
+def folded_cells(type_: ReferenceCell, nodes: Numbers, x: Vector) -> Mask:
+    """Tell in which cells of degree 2 det J changes its sign, or vanishes.
+
+    The nodes (m, n) are rows of the coordinates x (k, gdim), in the order of dolfinx.
+    """
+    folded, gradients, x = np.empty(len(nodes), dtype=bool), _gradients(type_, 2), x.T
+    for batch in batches(len(nodes), _CELLS):
+        places = x[:, nodes[batch].T]
+        values = determinants(np.array([D @ places for D in gradients]))
+        scale = FLAT_CELL * _midpoints_and_sizes(places, type_)[1] ** len(x)
+        folded[batch] = _is_folded(values.min(axis=0), values.max(axis=0), scale)
+    return folded
+
+
+def _gradients(type_: ReferenceCell, degree: int) -> Vector:
+    """Return derivatives of the shape functions where det J is tested: at nodes and midpoint."""
+    points = lagrange_points(type_.name, degree)
+    # in simplices of degree 1 the determinant is constant
+    constant = type_.is_simplex and degree == 1
+    points = np.vstack([points[: 0 if constant else None], points.mean(axis=0)])
+    return shape_gradients(type_.name, degree, points)
+
+
+def _midpoints_and_sizes(places: Vector, type_: ReferenceCell) -> tuple[Vector, Vector]:
+    """Return midpoints (gdim, m) and sizes (m,) of cells with nodes (gdim, n, m)."""
+    corners = places[:, : type_.vertices]
+    midpoint = corners.mean(axis=1)
+    spokes = corners - midpoint[:, None]
+    return midpoint, 2.0 * np.sqrt(np.sum(spokes**2, axis=0).max(axis=0))
+
+
+def _is_folded(lowest: Vector, highest: Vector, scale: Vector) -> Mask:
+    """Tell where det J, between two values, changes its sign or vanishes."""
+    return (lowest < scale) & (highest > -scale)
+
+
 def check_cells(domain: Mesh, bodies: Bodies) -> CellGeometry:
     """Check that nodes are somewhere and cells are not degenerate. Collective."""
     with raise_collectively(domain.comm):
@@ -128,8 +157,7 @@ def _check_shapes(cells: CellGeometry) -> None:
     kind = "curved cells that are folded:" if curved else "twisted cells, in which"
     sign = f"{kind} the determinant of the Jacobian changes its sign"
     remedy = (
-        "Mesh there finer, or let Gmsh mend them by gmsh.model.mesh.optimize('HighOrder') after "
-        "setOrder"
+        "Straighten their sides by read_msh(..., straighten=True), or mesh there finer"
         if curved
         else "Check that their vertices are in the order of dolfinx (those of a quadrilateral row "
         "by row, not around it); otherwise mesh there again"
@@ -142,7 +170,7 @@ def _check_shapes(cells: CellGeometry) -> None:
         "Mesh there again, or remove these cells",
     )
     if curved:
-        cells.raise_for((cells.lowest < scale) & (cells.highest > -scale), sign, remedy)
+        cells.raise_for(_is_folded(cells.lowest, cells.highest, scale), sign, remedy)
 
 
 # -- neighbours --------------------------------------------------------------------------------

@@ -16,9 +16,10 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.errors import InputError, format_point, warn_user
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io.interfaces import Interface, open_interfaces
+from fenics_tfeti.fem.io.straight_cells import straighten_folded_cells
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
 from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
 from fenics_tfeti.fem.topology import distinct_rows
@@ -38,6 +39,7 @@ def read_msh(
     comm: MPI.Intracomm = MPI.COMM_WORLD,
     gdim: int = 3,
     split: Sequence[Interface] = (),
+    straighten: bool = False,
 ) -> TaggedMesh:
     """Read a mesh and its physical groups from a Gmsh file.
 
@@ -57,6 +59,10 @@ def read_msh(
         Number of coordinates, 2 or 3, equal to the dimension of the cells.
     split : sequence of Interface
         Surfaces between bodies that share their nodes, to be opened by `split_interfaces`.
+    straighten : bool
+        Whether cells of degree 2 that are folded get straight sides, with a warning that counts
+        them: their nodes between corners are put on the middles of straight edges, flat faces and
+        cells. All other nodes stay.
 
     Returns
     -------
@@ -86,6 +92,10 @@ def read_msh(
         if comm.rank == 0:
             with _opened_file(gmsh, path):
                 whole = _whole_mesh(gmsh.model, path, gdim)
+            if straighten:
+                whole, message = straighten_folded_cells(whole)
+                if message:
+                    warn_user(f"{path}: {message}")
             whole = open_interfaces(whole, split) if split else whole
     return distribute(comm, whole)
 

@@ -5,11 +5,11 @@ from itertools import permutations, product
 
 from mpi4py import MPI
 
-import gmsh
 import numpy as np
 import pytest
 from curved_rings import quarter_rings
 from mesh_arrays import block, check_arrays, concatenated
+from msh_files import gmsh_model
 from scenes import CELLS
 
 from fenics_tfeti import InputError
@@ -35,26 +35,25 @@ def test_folded_curved_cell_is_named(tmp_path, recombine):
         check_mesh(domain, find_bodies(domain, None), [])
 
 
-@pytest.mark.parametrize("is_mended", [False, True])
-def test_remedy_for_folded_cells_mends_them(tmp_path, is_mended):
+@pytest.mark.ranks
+@pytest.mark.parametrize("straighten", [False, True])
+def test_remedy_for_folded_cells_mends_them(shared_folder, straighten):
     """A few cells along a thin ring: its arcs are curved by more than a cell is high."""
-    gmsh.initialize()
-    gmsh.option.setNumber("General.Terminal", 0)
-    outer, inner = (gmsh.model.occ.addDisk(0, 0, 0, r, r) for r in (1.0, 0.9))
-    gmsh.model.occ.cut([(2, outer)], [(2, inner)])
-    gmsh.model.occ.synchronize()
-    gmsh.model.addPhysicalGroup(2, [outer])
-    gmsh.option.setNumber("Mesh.MeshSizeMin", 0.9)
-    gmsh.model.mesh.generate(2)
-    gmsh.model.mesh.setOrder(2)
-    if is_mended:
-        gmsh.model.mesh.optimize("HighOrder")
-    gmsh.write(str(tmp_path / "ring.msh"))
-    gmsh.finalize()
-    domain = read_msh(tmp_path / "ring.msh", MPI.COMM_SELF, gdim=2).mesh
-    with (
-        nullcontext() if is_mended else pytest.raises(InputError, match=r"optimize\('HighOrder'\)")
-    ):
+    comm, path = MPI.COMM_WORLD, shared_folder / "ring.msh"
+    if comm.rank == 0:
+        with gmsh_model(path, 2, order=2) as gmsh:
+            occ = gmsh.model.occ
+            outer, inner = (occ.addDisk(0, 0, 0, r, r) for r in (1.0, 0.9))
+            occ.cut([(2, outer)], [(2, inner)])
+            occ.synchronize()
+            gmsh.model.addPhysicalGroup(2, [outer])
+            gmsh.option.setNumber("Mesh.MeshSizeMin", 0.9)
+    comm.barrier()
+    told = pytest.warns(UserWarning, match=r"ring.msh: made the sides of \d+ of \d+ curved cells")
+    with told if straighten and comm.rank == 0 else nullcontext():
+        domain = read_msh(path, comm, gdim=2, straighten=straighten).mesh
+    refused = pytest.raises(InputError, match=r"read_msh\(\.\.\., straighten=True\)")
+    with nullcontext() if straighten else refused:
         check_mesh(domain, find_bodies(domain, None), [])
 
 
