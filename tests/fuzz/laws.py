@@ -281,8 +281,11 @@ class Laws:
         motion = np.append(result.translation, result.rotation)
         total = total - body.stiffness @ motion
         size = self.comm.allreduce(size) + float(np.linalg.norm(body.load[: self.gdim]))
-        # of a body that nothing touches there is rounding alone
-        scale = np.full(body.modes, max(size, 1e-6 * self.force))
+        # of a body that nothing touches there is rounding alone, and one that touches without force
+        # is displaced by errors, which the solution's accuracy limits, times what holds it
+        held = np.abs(body.stiffness[: self.gdim, : self.gdim]).max(initial=0.0) * self.length
+        floor = max(1e-6 * self.force, self.posed.rtol * held / self.allowed)
+        scale = np.full(body.modes, max(size, floor))
         scale[self.gdim :] *= self.extent
         free = body.is_free
         return float(np.abs(total / (self.allowed * scale + 1e-300))[free].max(initial=0.0))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from mpi4py import MPI
@@ -18,6 +18,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactProblem, Exact, NonlinearContactProblem, RigidBody, Tresca
+from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.io import piecewise_constant
 
 Vector = NDArray[np.float64]
@@ -128,8 +129,20 @@ class Answer:
     """What a solve found, in own coordinates: displacements, forces on slaves and pressures."""
 
     u: Vector  # (nodes that this rank owns, gdim)
+    # (nodes,): numbers of these nodes in the input of the mesh; how a mesh is distributed may be
+    # another thing each time that it is made
+    nodes: NDArray[np.int64]
     forces: dict[str, Vector]  # (gdim,)
-    pressures: dict[str, Vector] = field(default_factory=dict)  # (k,), by node number
+    pressures: dict[str, Vector] = field(default_factory=dict)  # (k,), by these numbers
+
+    def only(self, chosen: NDArray[np.bool_]) -> Answer:
+        """Leave out displacements of some nodes."""
+        return replace(self, u=self.u[chosen], nodes=self.nodes[chosen])
+
+    def on_all(self, comm: MPI.Comm) -> Vector:
+        """Return the displacements on all ranks, by the numbers of the nodes. Collective."""
+        nodes, u = (np.concatenate(comm.allgather(part)) for part in (self.nodes, self.u))
+        return u[np.argsort(nodes)]
 
 
 class Posed(Scene):
@@ -269,6 +282,11 @@ class Posed(Scene):
         problem.solve()
         return self.answer()
 
+    @property
+    def rtol(self) -> float:
+        """The tolerance of displacements."""
+        return float(self.accuracy.get("newton_rtol", self.accuracy["rtol"]))
+
     def advance(self) -> None:
         """Accept the step."""
         self.solved.advance()
@@ -304,12 +322,15 @@ class Posed(Scene):
     def answer(self) -> Answer:
         """Return the last solution. Collective."""
         values = self.now.x.array.reshape(-1, self.gdim)[: self.owned]
-        forces, pressures = {}, {}
+        nodes = NodeMap(self.V)
+        numbers, forces, pressures = nodes.input_numbers, {}, {}
         for result in self.solved.results:
             forces[result.name] = self.frame.turn.T @ result.force / self.frame.newton
             if hasattr(result, "pressure"):
-                pressures[result.name] = result.gather().pressure / self.frame.pascal
-        return Answer(values @ self.frame.turn / self.frame.metre, forces, pressures)
+                whole = result.gather()
+                order = np.argsort(nodes.values_at(numbers, whole.nodes), kind="stable")
+                pressures[result.name] = whole.pressure[order] / self.frame.pascal
+        return Answer(values @ self.frame.turn / self.frame.metre, numbers, forces, pressures)
 
     def largest(self, values: Any) -> float:
         """Return the largest magnitude on all ranks."""
@@ -321,7 +342,8 @@ def differ(posed: Posed, first: Answer, second: Answer, tolerance: float) -> dic
     """Return by how much two answers differ, relative to what is allowed. Collective."""
     # less than the rounding of coordinates is no motion
     size = max(posed.largest(first.u), posed.largest(second.u), 1e-10)
-    found = {"u": posed.largest(first.u - second.u) / (tolerance * size)}
+    first_u, second_u = (answer.on_all(posed.mesh.comm) for answer in (first, second))
+    found = {"u": posed.largest(first_u - second_u) / (tolerance * size)}
     every = [*first.forces.values(), *second.forces.values()]
     largest = max([float(np.abs(f).max()) for f in every], default=0.0) + 1e-12
     for name in first.forces.keys() & second.forces.keys():

@@ -108,6 +108,11 @@ def shared_nodes(draw: Draw) -> Ratios:
     # Tresca's law acts at open nodes, too, so that it tells surfaces of other sizes apart
     law = draw.one_of(None, Coulomb(0.4), *[Tresca(2e-4)] * (kind == "parts"))
     method = draw.one_of("linear", "linear", "exact")
+    if isinstance(law, Tresca):
+        # sliding bends the surfaces: where these are deformed, two contacts have two normals at the
+        # node at their border and one has the mean. That is another discrete problem, whose
+        # solution differs by an amount that falls with h^2
+        method = "linear"
     border = draw.count(1, 2 * n - 2)
     frames = draw.frame(g), draw.frame(g, along_axes=True)
     if kind == "support":
