@@ -1,10 +1,10 @@
-"""A box whose sides are tagged with its foot, which sides face nothing, acts as its foot."""
+"""Boxes whose sides are tagged with their foot act as their foot; wedges touch by their edge."""
 
 from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import at
+from scenes import Scene, at
 
 import ufl
 from dolfinx import fem
@@ -71,3 +71,24 @@ def test_box_with_its_sides_is_its_foot(dim, kind, nodes):
     assert contact.force[-1] == pytest.approx(alone.force[-1], rel=1e-8)
     largest = np.abs(contact.normal[:, :-1]).max(initial=0.0)
     assert MPI.COMM_WORLD.allreduce(largest, MPI.MAX) < 1e-12 or kind != "small"
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("slope", [1.0, 3.0])
+@pytest.mark.parametrize("n", [4, 7])
+def test_wedge_presses_by_its_edge(slope, n):
+    """Under facets of any size, from the first touch on; one side of a wedge has no inside."""
+    parts = [((0.8, 0.0), (1.0, 1.0), (2, 2)), ((0.0, 1.0), (2.0, 2.0), (n, 3))]
+    marks = [(BOX, at(1, 1.0), 2), (TABLE, at(1, 1.0), 1), (FLOOR, at(1, 0.0)), (TOP, at(1, 2.0))]
+    scene = Scene.of_boxes(MPI.COMM_WORLD, "quadrilateral", parts, marks, young=1.0)
+    x, wedge = scene.mesh.geometry.x, scene.nodes(1)
+    x[wedge, 1] *= 1.0 - slope * np.abs(x[wedge, 0] - 0.9)
+    scene.fix(FLOOR)
+    scene.fix(TOP, 1, -1e-4)
+    scene.fix(TOP, 0)
+    scene.add_pair(BOX, TABLE, roles="given")
+    problem = scene.problem(options={"rtol": 1e-8})
+    problem.solve()
+    contact = problem.results[0]
+    assert contact.force[1] > 1e-5
+    assert contact.entry.penetration < 1e-3 * 1e-4

@@ -51,8 +51,8 @@ def match_pairs(
 ) -> list[list[ContactPairing]]:
     """Find the slave's nodes, normals, partners and gaps of pairs, this rank's part. Collective.
 
-    A pair has several parts where its slave has sharp edges or its masters share no nodes: in each
-    of them a node has one condition at most, see `patches`.
+    A pair has several parts where its surfaces have sharp edges or its masters share no nodes: in
+    each of them a node has one condition at most, see `patches`.
 
     Of the master's facets each rank gets those near its slave facets. Pairs with normals or
     partners of the user are matched one by one, all others at once. For the mask see
@@ -90,7 +90,7 @@ def match_pairs(
 def _split(boundary: MeshBoundary, whole: Parts) -> tuple[list[int], Parts]:
     """Return the numbers of the pairs that parts belong to, and the parts. Collective.
 
-    Each is of faces of the slave and of masters that have one colour.
+    Each is of faces of the slave and of the master that have one colour.
     """
     pairs = _joined(boundary, whole)
     sides, count = (pairs.slave, pairs.master), len(whole)
@@ -183,32 +183,36 @@ def face_colours(slave: Surface) -> Numbers:
 
     Collective.
     """
-    vertices = slave.boundary.nodes.to_global(slave.vertices)
-    ends = vertices[..., None]
-    if slave.corners.shape[2] == 3:
-        ends = np.sort(np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2), axis=2)
-    facet = np.repeat(np.arange(len(vertices)), vertices.shape[1])
-    normal = unit(facet_normals(slave.corners))[facet]
-    keys = ends.reshape(facet.size, slave.corners.shape[2] - 1)
-    face = connected_facets(slave.comm, keys, facet, len(vertices), normal)
-    return patch_colours(slave, face, vertices.ravel(), face[facet])
+    face, vertices = _smooth_faces(slave), slave.boundary.nodes.to_global(slave.vertices)
+    return patch_colours(slave, face, vertices.ravel(), np.repeat(face, vertices.shape[1]))
 
 
 def master_colours(slave: Surface, master: Surface) -> Numbers:
-    """Return the colours (f,) of masters that share no nodes, of this rank's facets. Collective."""
-    nodes, comm = master.boundary.nodes, master.comm
-    vertices = nodes.to_global(master.vertices)
-    facet = np.repeat(np.arange(len(vertices)), vertices.shape[1])
-    body = connected_facets(comm, vertices.ravel()[:, None], facet, len(vertices))
-    if comm.allreduce(int(body.max(initial=-1)), MPI.MAX) + 1 <= len(master.names):
-        return np.zeros_like(body)
-    of_nodes = nodes.sum_at_owners(vertices.ravel(), body[facet], np.maximum)
-    near, part = gather_nearby(master, slave), slave.part()
-    opposite = nodes.values_at(of_nodes, near.nodes[near.facets.corners[:, 0]])
+    """Return the colours (f,) of the smooth faces of masters, of this rank's facets. Collective."""
+    face = _smooth_faces(master)
+    if master.comm.allreduce(int(face.max(initial=-1)), MPI.MAX) + 1 <= len(master.names):
+        return np.zeros_like(face)
+    near, part = gather_nearby(master, slave, face), slave.part()
     integrals = integrate(part.facets, near.facets)
     corners = part.nodes[part.facets.corners[integrals.facet[integrals.pair]]]
-    at_corners = np.repeat(opposite[integrals.master], corners.shape[1])
-    return patch_colours(master, body, corners.ravel(), at_corners)
+    assert near.number is not None
+    at_corners = np.repeat(near.number[integrals.master], corners.shape[1])
+    return patch_colours(master, face, corners.ravel(), at_corners)
+
+
+def _smooth_faces(surface: Surface) -> Numbers:
+    """Return the number, over all ranks, of the face of each facet (f,) of this rank. Collective.
+
+    Faces end at edges at which their normals turn by more than 60 degrees.
+    """
+    vertices = surface.boundary.nodes.to_global(surface.vertices)
+    ends = vertices[..., None]
+    if surface.corners.shape[2] == 3:
+        ends = np.sort(np.stack([vertices, np.roll(vertices, -1, axis=1)], axis=2), axis=2)
+    facet = np.repeat(np.arange(len(vertices)), vertices.shape[1])
+    normal = unit(facet_normals(surface.corners))[facet]
+    keys = ends.reshape(facet.size, surface.corners.shape[2] - 1)
+    return connected_facets(surface.comm, keys, facet, len(vertices), normal)
 
 
 def _pairings(

@@ -26,6 +26,7 @@ from fenics_tfeti.fem.contact.mortar.facets import (
 )
 from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # How far the master is looked for, relative to a slave facet's distance from the master's nodes and
@@ -135,12 +136,14 @@ def covering_cells(
 ) -> Cells:
     """Find the cells of some slave facets, ascending.
 
-    Of several layers of the master the nearest one counts. Facets behind the slave count only where
-    the slave is inside the master. The areas of a facet's cells add up to that of the facet at
-    most, up to rounding. For the reach see `MasterTree.reach`.
+    Of several layers of the master the nearest one counts, without steep sides that go back from
+    it. Facets behind the slave count only where the slave is inside the master. The areas of a
+    facet's cells add up to that of the facet at most, up to rounding. For the reach see
+    `MasterTree.reach`.
     """
     cells = overlapping_cells(slave, planes, chosen, master, reach)
     cells = _without_far_sides(cells, planes, master)
+    cells = _without_steep_sides(cells, planes, master)
     return nearest_layers(cells, planes, master)
 
 
@@ -194,6 +197,28 @@ def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cell
     kept = np.ones(cells.slave.size, dtype=bool)
     kept[suspects] = are_nearest(cells, suspects, planes, of_points, facets, of_facets)
     return cells.select_pairs(kept)
+
+
+def _without_steep_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
+    """Leave out steep facets of the master that are not nearer to a slave facet than others.
+
+    They are inclined to the slave by more than 60 degrees, such as the side of a box whose end it
+    touches: where the gap grows that fast beside an edge, its mean is that at no place, and may be
+    negative. Those of a sharp wedge, which nothing else is nearer than, count.
+    """
+    normals = planes.normal[cells.slave], master.planes.normal[cells.master]
+    steep = -np.einsum("pd,pd->p", *normals) < (1.0 - RELATIVE_ROUNDING) / REACH
+    if not steep.any():
+        return cells
+    xi = reference_coordinates(cells.on_master[cells.pair], cells.corners)
+    shapes = shape_functions(xi, cells.on_master.shape[1])
+    gaps = lowest(np.einsum("cqw,cw->cq", shapes, cells.height[cells.pair])[:, :, None])[:, 0]
+    least = np.full(cells.slave.size, np.inf)
+    np.minimum.at(least, cells.pair, gaps)
+    nearest = np.full(len(planes.area), np.inf)
+    np.minimum.at(nearest, cells.slave[~steep], least[~steep])
+    rounding = RELATIVE_ROUNDING * planes.diameter[cells.slave]
+    return cells.select_pairs(~steep | (least < nearest[cells.slave] - rounding))
 
 
 def are_nearest(

@@ -6,6 +6,8 @@ such as corners of a foot, which may lie anywhere between the places of the cond
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from dolfinx.fem import Function
@@ -16,26 +18,46 @@ from fenics_tfeti.fem.contact.conditions.surface_pairs import user_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface, surface_of
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, VISIBLE_PENETRATION
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
+def whole_surfaces(parts: Sequence[ContactPairing]) -> list[Surface]:
+    """Return the surfaces of slave and master of all parts of a contact. Collective."""
+    sides = zip(*(part.surfaces for part in parts), strict=True)
+    return [_joined(surfaces) for surfaces in sides]
+
+
+def _joined(surfaces: Sequence[Surface]) -> Surface:
+    first = surfaces[0]
+    if len(surfaces) == 1:
+        return first
+    facets = np.unique(np.concatenate([part.facet_nodes for part in surfaces]), axis=0)
+    return surface_of(first.boundary, facets, first.names, first.role)
+
+
 def measured_penetration(
-    contact: ContactPair, pairing: ContactPairing, conditioned: Numbers, uh: Function
+    contact: ContactPair,
+    pairing: ContactPairing,
+    whole: Sequence[Surface],
+    conditioned: Numbers,
+    uh: Function,
 ) -> float:
     """Return the largest depth in the other body [m] of nodes without a condition. Collective.
 
-    They are the slave's but for `conditioned` ones (k,) of this rank, and those at the border of
-    the master. A depth that counts beside the deformation of the slave's surface is told. Gaps are
-    those between the deformed surfaces; initial gaps of the user replace those of the mesh.
+    They are those of a part of a contact: the slave's but for `conditioned` ones (k,) of this rank,
+    and those at the border of the master, such as its sharp edges. Depths are in the surfaces of
+    the `whole` contact: one side of a wedge has no inside. One that counts beside the deformation
+    of the slave's surface is told. Gaps are those between the deformed surfaces; initial gaps of
+    the user replace those of the mesh.
     """
     slave, master = pairing.surfaces
     boundary, deformed = slave.boundary, slave.boundary.deformed(uh)
     chosen = [~np.isin(slave.nodes, conditioned), _on_border(master)]
     depths, places = [], []
-    for surface, other, nodes in zip((slave, master), (master, slave), chosen, strict=True):
+    for surface, other, nodes in zip((slave, master), whole[::-1], chosen, strict=True):
         gap, _ = _gaps_to(surface.on(deformed), other.on(deformed), nodes)
         if contact.initial_gap != "geometric":
             of_mesh, x = _gaps_to(surface, other, nodes)

@@ -9,6 +9,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.fem.contact.conditions.pairing import (
+    ContactPairing,
     SlaveValues,
     contact_rows,
     mean_traction,
@@ -17,7 +18,7 @@ from fenics_tfeti.fem.contact.conditions.pairing import (
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
-from fenics_tfeti.fem.contact.solution.penetration import measured_penetration
+from fenics_tfeti.fem.contact.solution.penetration import measured_penetration, whole_surfaces
 from fenics_tfeti.fem.contact.solution.results import (
     BoltResult,
     ContactEntry,
@@ -82,12 +83,23 @@ class SolvedContacts:
 
     def with_penetration(self) -> SolvedContacts:
         """Return it with depths of nodes without a condition, told where they count. Collective."""
-        contacts = []
+        contacts, parts = [], dict[int, list[ContactPairing]]()
+        for found in self.conditions.contacts:
+            parts.setdefault(found.number, []).append(found.undeformed)
+        wholes = {
+            number: whole_surfaces(of_contact)
+            for number, of_contact in parts.items()
+            if any(part.is_mortar for part in of_contact)
+        }
         for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
             contact, pairing = found.contact, found.pairing
             if isinstance(contact, ContactPair) and pairing.is_mortar:
                 depth = measured_penetration(
-                    contact, found.undeformed, pairing.slave, self.displacement
+                    contact,
+                    found.undeformed,
+                    wholes[found.number],
+                    pairing.slave,
+                    self.displacement,
                 )
                 result = replace(result, entry=replace(result.entry, penetration=depth))
             contacts.append(result)

@@ -24,17 +24,17 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 Boxes = tuple[Vector, Vector]
 
 
-def gather_nearby(surface: Surface, other: Surface) -> SurfaceFacets:
+def gather_nearby(surface: Surface, other: Surface, number: Numbers | None = None) -> SurfaceFacets:
     """Gather the part of a surface near this rank's facets and nodes of another one. Collective.
 
     All facets are there that may lie over a facet that this rank has of the other surface, which
     may be the same, those closest to it, and the ones around each of their nodes, so that normals
     there are those of the whole surface. Of the nodes that the rank owns, the facets may be other
-    ranks'.
+    ranks'. With them come the numbers (f,) of this rank's facets, if they are given.
     """
     comm, boundary = surface.comm, surface.boundary
     if comm.size == 1:
-        return surface.gathered()
+        return surface.part(number=number)
     points = boundary.coordinates[:, : surface.normal.shape[1]]
     rows, nodes = (part.facet_nodes.astype(np.int64) for part in (surface, other))
     facets = Facets(points, rows, boundary.nodes.contact)
@@ -44,7 +44,7 @@ def gather_nearby(surface: Surface, other: Surface) -> SurfaceFacets:
     distance = _distances(comm, points, nodes, facets, tree)
     needed = _needed_boxes(comm, points, nodes, rows, distance)
     chosen = facets_in_boxes(comm, needed, tree)
-    messages = [surface.part(rows) for rows in chosen]
+    messages = [surface.part(rows, number) for rows in chosen]
     return SurfaceFacets.joined(all_to_all(comm, messages))
 
 

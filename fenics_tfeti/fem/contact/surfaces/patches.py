@@ -1,8 +1,9 @@
-"""Patches of surfaces: smooth faces and parts that share no nodes, with colours to tell them apart.
+"""Patches of surfaces: smooth faces, with colours to tell them apart.
 
-At a sharp edge of a slave, and above the border between two masters, a node has one condition for
-each face and master: a mean over them is none of their gaps. Patches that meet at a node have
-different colours; those of one colour are matched as one surface.
+At a sharp edge of a slave, and above a sharp edge of a master or the border between two masters, a
+node has one condition for each face: a mean over them is none of their gaps, and may be negative
+where none of these is. Patches that meet at a node have different colours; those of one colour are
+matched as one surface.
 """
 
 from __future__ import annotations

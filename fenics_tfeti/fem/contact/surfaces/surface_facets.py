@@ -26,6 +26,7 @@ class SurfaceFacets:
     # is found from these facets alone
     vertex_normals: Vector | None = None
     weight: Vector | None = None  # (n,): weight of the measure at vertices
+    number: Numbers | None = None  # (f,): of facets, such as those of their faces
 
     @staticmethod
     def joined(parts: Sequence[SurfaceFacets]) -> SurfaceFacets:
@@ -38,7 +39,12 @@ class SurfaceFacets:
         contact = None
         if of_parts[0] is not None:
             contact = np.concatenate([part for part in of_parts if part is not None])[first]
-        return SurfaceFacets(nodes, Facets(points, np.searchsorted(nodes, facets), contact))
+        numbers_of = [part.number for part in parts if part.number is not None]
+        return SurfaceFacets(
+            nodes,
+            Facets(points, np.searchsorted(nodes, facets), contact),
+            number=np.concatenate(numbers_of) if numbers_of else None,
+        )
 
     @property
     def points(self) -> Vector:

@@ -283,8 +283,10 @@ class Surface:
         covered_area = self.share_of_area(covered, weight)
         return np.where(covered_area > RELATIVE_ROUNDING * area, covered_area, area)
 
-    def part(self, chosen: Numbers | Mask | slice = slice(None)) -> SurfaceFacets:
-        """Return all or some facets of this rank."""
+    def part(
+        self, chosen: Numbers | Mask | slice = slice(None), number: Numbers | None = None
+    ) -> SurfaceFacets:
+        """Return all or some facets of this rank, with their numbers of all (f,) if given."""
         boundary, rows = self.boundary, self.facet_nodes[chosen]
         nodes, first, inverse = np.unique(
             boundary.nodes.to_global(rows), return_index=True, return_inverse=True
@@ -296,7 +298,7 @@ class Surface:
             inverse.reshape(rows.shape),
             None if contact is None else contact[local],
         )
-        return SurfaceFacets(nodes, facets)
+        return SurfaceFacets(nodes, facets, number=None if number is None else number[chosen])
 
     def oriented_part(self) -> SurfaceFacets:
         """Return the facets of this rank with the surface's normals and the weight. Collective."""
