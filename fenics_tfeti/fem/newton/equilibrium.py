@@ -265,13 +265,18 @@ def _left_on_bodies(
 ) -> Vector:
     """Return what is out of balance on rigid bodies, as of `RigidBodies.free_forces`. Collective.
 
-    What rounding leaves of all contact forces together is none.
+    What rounding leaves of all contact forces together is none on a body without more load. Forces
+    on a body with a load are found together with what they balance, whatever the load.
     """
-    nodes = rows.conditions.boundary.nodes
-    left = rows.conditions.bodies.free_forces(-on_bodies, nodes.total)
+    nodes, gdim = rows.conditions.boundary.nodes, rows.conditions.boundary.nodes.components
+    left, load = (
+        rows.conditions.bodies.free_forces(forces, nodes.total).reshape(-1, gdim * (gdim + 1))
+        for forces in (-on_bodies, 0.0 * on_bodies)
+    )
     slaves = rows.surface_nodes - nodes.first
     negligible = nodes.comm.allreduce(float(rounding.contact_forces(displacement)[slaves].sum()))
-    return np.where(np.abs(left) > negligible, left, 0.0)
+    size = np.maximum(*(np.linalg.norm(part, axis=1, keepdims=True) for part in (left, load)))
+    return np.where(size > negligible, left, 0.0).ravel()
 
 
 def _broken_friction(
