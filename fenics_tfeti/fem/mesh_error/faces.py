@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 import basix
 from dolfinx.fem import FunctionSpace
@@ -50,6 +51,14 @@ class FacetRule:
             traces.append(values[:, list(kind.facet_nodes(degree)[number])])
             normals.append(outward[number] * size)
         return FacetRule(np.array(points), weights, np.array(traces), np.array(normals))
+
+
+def add_rows(total: Vector, rows: Numbers | Indices, values: Vector) -> None:
+    """Add values (k, ...) to some rows (k,) of a total; faster than NumPy's ``add.at``."""
+    ends, ones = np.arange(rows.size + 1), np.ones(rows.size)
+    summation = sp.csr_matrix((ones, rows, ends), (rows.size, len(total))).T
+    columns = values.reshape(rows.size, int(np.prod(total.shape[1:])))
+    total += (summation @ columns).reshape(total.shape)
 
 
 class CellFaces:

@@ -14,6 +14,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from fenics_tfeti.fem.mesh_error.faces import add_rows
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import batches, connected_labels
 from fenics_tfeti.parallel import send_rows
@@ -142,7 +143,7 @@ class _NodeProblems:
         self._sides[column, np.where(is_first, 0, 1)] = position[by_facet]
         self._free = moments.free[by_facet[is_first]]
         start = np.zeros((count, moments.moment.shape[1]))
-        np.add.at(start, self._column, self._sign[:, None] * moments.moment)
+        add_rows(start, self._column, self._sign[:, None] * moments.moment)
         sides = np.count_nonzero(self._sides >= 0, axis=1)
         self._start = start / sides[:, None] * self._free
 
@@ -150,7 +151,8 @@ class _NodeProblems:
         for side, sign in ((0, 1.0), (1, -1.0)):
             row = self._sides[:, side]
             there = row >= 0
-            np.add.at(self._b, row[there], -sign * self._start[there, :, None])
+            moment = np.repeat(self._start[there, :, None], self._b.shape[2], axis=2)
+            add_rows(self._b, row[there], -sign * moment)
 
     def _components(self, c: int) -> tuple[Numbers, Mask]:
         """Return the connected component of each row, and which components nothing holds."""

@@ -16,13 +16,17 @@ import numpy as np
 
 import basix
 
-from fenics_tfeti.fem.mesh_error.faces import CellFaces
+from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
 from fenics_tfeti.fem.mesh_error.neumann import CellEnergies, axes, rotations
 from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # numbers in the matrices of the rings that are inverted at once
 _ENTRIES = 2**20
+# stiffness added to a ring, relative to its mean: changes of moments may have no energy
+_SHIFT = 1e-8
+# how forces pass a ring
+_CLOSED, _OPEN, _CUT = 0, 1, 2
 # singular values, relative to the largest one, that are zero
 _SINGULAR = 1e-9
 
@@ -62,6 +66,7 @@ class FacetMap:
         first = np.full(self.count, rows.size)
         cell = np.broadcast_to(np.arange(rows.size)[:, None], self.facets.shape)
         np.minimum.at(first, self.facets, cell)
+        self.is_single: Mask = np.bincount(self.facets.ravel(), minlength=self.count) == 1
         self.sign: Vector = np.where(first[self.facets] == cell, 1.0, -1.0)
         may_change = np.zeros((self.count, t, d), dtype=bool)
         may_change[self.facets] = free[:, :, None, :]
@@ -76,7 +81,7 @@ class FacetMap:
         values = values.reshape(*self.order.shape, -1)
         for f in range(self.facets.shape[1]):
             ordered = np.take_along_axis(values[:, f], self.order[:, f, :, None], axis=1)
-            np.add.at(total, self.facets[:, f], self.sign[:, f, None, None] * ordered)
+            add_rows(total, self.facets[:, f], self.sign[:, f, None, None] * ordered)
         return total
 
     def to_cells(self, values: Vector) -> Vector:
@@ -121,7 +126,7 @@ def _preconditioned(blocks: list[RingBlock], r: Vector) -> Vector:
         n, j = block.facets.shape
         local = r[block.facets].reshape(n, -1, r.shape[2])
         y = block.basis @ (block.inverse @ (block.basis.transpose(0, 2, 1) @ local))
-        np.add.at(total, block.facets, y.reshape(n, j, -1, r.shape[2]))
+        add_rows(total, block.facets.ravel(), y.reshape(n * j, -1))
     return total
 
 
@@ -155,16 +160,25 @@ def _blocks(facets: FacetMap, rings: list[Rings], Q: Vector) -> Iterator[RingBlo
         of_ring = np.sort(of_ring, axis=1)
         is_new = np.diff(of_ring, axis=1, prepend=-1) != 0
         number = np.count_nonzero(is_new, axis=1)
-        for j in np.unique(number):
-            same = np.flatnonzero(number == j)
-            limit = max(1, _ENTRIES // int(j * facets.moments) ** 2)
-            for batch in batches(same.size, limit):
+        passed = _passes(facets, ring, number)
+        for j, how in np.unique(np.column_stack([number, passed]), axis=0):
+            same = np.flatnonzero((number == j) & (passed == how))
+            for batch in batches(same.size, max(1, _ENTRIES // int(j * facets.moments) ** 2)):
                 chosen = same[batch]
                 own = of_ring[chosen][is_new[chosen]].reshape(-1, j)
-                block = _RingBasis(
-                    facets, statics, Rings(ring.cells[chosen], ring.local[chosen]), own
-                )
-                yield from block.inverted(Q)
+                part = Rings(ring.cells[chosen], ring.local[chosen])
+                yield from _RingBasis(facets, statics, part, own, int(how)).inverted(Q)
+
+
+def _passes(facets: FacetMap, rings: Rings, number: Numbers) -> Numbers:
+    """Tell how forces pass rings (r,) with some numbers of facets.
+
+    They do once around closed ones, not at all where no end is supported, or in some way.
+    """
+    of_cells = facets.facets[rings.cells[..., None], rings.local]
+    is_end_free = facets.is_single[of_cells] & facets.free[of_cells].any(axis=3)
+    is_closed = number == rings.cells.shape[1]
+    return np.where(is_closed, _CLOSED, np.where(is_end_free.any(axis=(1, 2)), _OPEN, _CUT))
 
 
 class _Statics:
@@ -188,7 +202,9 @@ class _Statics:
 class _RingBasis:
     """Changes of the moments on the facets of r rings without resultant on any of their cells."""
 
-    def __init__(self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers) -> None:
+    def __init__(
+        self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers, how: int
+    ) -> None:
         self._facets, self._statics, self._rings, self._own = facets, statics, rings, of_ring
         cells, local = rings.cells, rings.local
         own = facets.facets[cells[..., None], local]
@@ -197,8 +213,8 @@ class _RingBasis:
         self._sign = facets.sign[cells[..., None], local]
         middle = statics.middle[of_ring]
         self._arm = (middle - middle.mean(axis=1, keepdims=True)) / statics.length
-        is_closed = of_ring.shape[1] == cells.shape[1]
-        self.basis = self._closed() if is_closed else self._open()  # (r, j, m, z)
+        make = {_CLOSED: self._closed, _OPEN: self._open, _CUT: self._cut}[how]
+        self.basis: Vector = make()  # (r, j, m, z)
 
     def _shifted(self, matrix: Vector, j: int) -> Vector:
         """Return resultants (r, n, m) on a facet about the middle of the ring."""
@@ -239,10 +255,21 @@ class _RingBasis:
                     sense[every, b] = np.where(sense[every, b] == 0.0, new, sense[every, b])
         return sense
 
+    def _cut(self) -> Vector:
+        """Return tractions without resultant on each facet that may change."""
+        statics, (r, j) = self._statics, self._own.shape
+        free = statics.without.shape[2]
+        Z = np.zeros((r, j, self._facets.moments, j * free))
+        may_change = self._facets.free[self._own].all(axis=2)
+        for k in range(j):
+            on_facet = statics.without[self._own[:, k]] * may_change[:, k, None, None]
+            Z[:, k, :, k * free : (k + 1) * free] = on_facet
+        return Z
+
     def _open(self) -> Vector:
         """Return the null space of the resultants on the cells, of moments that may change.
 
-        The ring ends at the boundary, where some components may be supported, or at other cells.
+        The ring ends at the boundary, where some components may be supported.
         """
         statics, (r, j) = self._statics, self._own.shape
         c, m = self._place.shape[1], self._facets.moments
@@ -283,5 +310,8 @@ class _RingBasis:
         live = np.trace(energy, axis1=1, axis2=2) > 0.0
         if live.any():
             basis = self.basis[live].reshape(-1, j * m, z)
-            inverse = np.linalg.pinv(energy[live], hermitian=True, rcond=1e-11)
-            yield RingBlock(self._own[live], basis, inverse)
+            energy = energy[live]
+            # changes without energy have no gradient
+            shift = _SHIFT * np.trace(energy, axis1=1, axis2=2) / z
+            energy[:, np.arange(z), np.arange(z)] += shift[:, None]
+            yield RingBlock(self._own[live], basis, np.linalg.inv(energy))

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.mesh_error.faces import CellFaces
+from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
 from fenics_tfeti.fem.mesh_error.node_problems import CellForces, FacetMoments, balanced_moments
 from fenics_tfeti.fem.mesh_error.stress import CellStress
 from fenics_tfeti.fem.nodes import NodeMap
@@ -79,7 +79,7 @@ def equilibrated_tractions(
         If forces act on nodes whose facets are neither supported nor of a contact or tie.
     """
     summed = np.zeros((nodes.size, faces.dim))
-    np.add.at(summed, faces.nodes, residual)
+    add_rows(summed, faces.nodes.ravel(), residual.reshape(-1, faces.dim))
     force = np.where(kinds.fixed, 0.0, -over_ranks(nodes, summed))
     at_contact = np.zeros(nodes.size, dtype=bool)
     at_contact[faces.facet_nodes()[kinds.contact].ravel()] = True
@@ -141,7 +141,7 @@ def _shares(faces: CellFaces, nodes: NodeMap, contact: Mask, pressing: Mask) -> 
     has_pressing = over_ranks(nodes, has_pressing, np.logical_or)
     shares[..., 1] *= pressing[:, :, None] | ~has_pressing[at_nodes]
     total = np.zeros((nodes.size, 2))
-    np.add.at(total, at_nodes[rows], shares[rows])
+    add_rows(total, at_nodes[rows].ravel(), shares[rows].reshape(-1, 2))
     total = over_ranks(nodes, total)
     return shares / np.where(total > 0.0, total, 1.0)[at_nodes]
 
