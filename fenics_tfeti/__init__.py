@@ -35,6 +35,7 @@ _LAZY = {
         "fem.contact.solution.results": "BoltResult ContactResult FrictionResult Results "
         "RigidBodyResult TiedResult",
         "fem.contact.search.automatic": "find_contacts",
+        "adaptive": "Adapted MeshLevel adapt",
         "fem.mesh_error.estimate": "BodyMeshError ContactMeshError MeshError MeshErrorEntry",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",

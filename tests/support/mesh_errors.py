@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from mpi4py import MPI
@@ -24,6 +25,7 @@ from fenics_tfeti.fem.decomposition.forms import prepare_form
 from fenics_tfeti.fem.mesh_error.estimate import MeshErrorProblem
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.fem.topology import exterior_cell_facets
+from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 
 FOOT, TOP, LEFT, RIGHT, BELOW, ABOVE, SIDE_Y = 1, 2, 3, 4, 5, 6, 7
 TIGHT = {"rtol": 1e-8}
@@ -43,7 +45,7 @@ def beams(comm: MPI.Comm, n: int, degree: int = 1, cell: str = "triangle", **mor
         return [metre * x[0], *(metre * y for y in x[3 - gdim + 1 :])]
 
     m = round(n * unlike)
-    boxes = [
+    parts = [
         (point(0, 0, 0), point(2, 1, 1), (2 * n, *(n,) * up)),
         (point(1, 0, 1), point(3, 1, 2), (2 * m, *(m,) * up)),
     ]
@@ -55,7 +57,7 @@ def beams(comm: MPI.Comm, n: int, degree: int = 1, cell: str = "triangle", **mor
         (ABOVE, at(up, metre), 2),
     ]
     young = 2.1e11 * newton / metre**2
-    scene = Scene.of_boxes(comm, cell, boxes, marks, degree=degree, young=young)
+    scene = Scene.of_boxes(comm, cell, parts, marks, degree=degree, young=young)
     scene.fix(LEFT)
     for axis in range(up):
         scene.fix(RIGHT, axis)
@@ -84,6 +86,22 @@ def roller(comm: MPI.Comm, n: int, degree: int = 1, cell: str = "triangle", **mo
     centre = (0.0,) * up + (0.05,)
     scene.add_obstacle(FOOT, Sphere(centre=centre, radius=0.05), name="roller")
     return scene
+
+
+def roller_on(mesh: TaggedMesh, degree: int = 1) -> ContactProblem:
+    """Return the problem of a block on a rigid roller on a mesh of `block_of_triangles`."""
+    scene = Scene(mesh.mesh, mesh.facet_tags, degree=degree, young=2e9)
+    scene.fix(LEFT, 0)
+    scene.fix(TOP, 1, 5e-4)
+    scene.add_obstacle(FOOT, Sphere(centre=(0.0, 0.05), radius=0.05), name="roller")
+    return scene.problem(cell_tags=None)
+
+
+def block_of_triangles(comm: MPI.Intracomm, n: int) -> TaggedMesh:
+    """Return a half of the block of `roller`."""
+    box = boxes(comm, [Box((0.0, -0.02), (0.02, 0.0), (n, n), "block")], "triangle")
+    marks = [(FOOT, at(1, 0.0)), (TOP, at(1, -0.02)), (LEFT, at(0, 0.0))]
+    return replace(box, facet_tags=tag_facets(box.mesh, marks))
 
 
 def graded(x: NDArray[np.float64], grade: float) -> NDArray[np.float64]:

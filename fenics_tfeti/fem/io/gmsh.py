@@ -87,7 +87,7 @@ def read_msh(
     """
     path, whole = Path(path), None
     with raise_collectively(comm):
-        gmsh = _import_gmsh()
+        gmsh = import_gmsh()
     with raise_collectively(comm):
         if comm.rank == 0:
             with _opened_file(gmsh, path):
@@ -290,7 +290,7 @@ def _names(path: Path, groups: Sequence[_Group]) -> dict[str, int]:
 # -- sessions of Gmsh, without effect on the user's own ----------------------------------------
 
 
-def _import_gmsh() -> Any:
+def import_gmsh() -> Any:
     """Import the Python module of Gmsh, and keep the handler of Ctrl-C that it may replace."""
     try:
         with _interrupt_handler_kept():

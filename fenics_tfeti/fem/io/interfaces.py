@@ -104,7 +104,7 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     >>> parts = split_interfaces(parts, [shank])  # doctest: +SKIP
     >>> ContactPair(parts.facet_tags, slave=11, master=12)  # doctest: +SKIP
     """
-    comm, whole = tagged.mesh.comm, _gather(tagged)
+    comm, whole = tagged.mesh.comm, gather_mesh(tagged)
     with raise_collectively(comm):
         if whole is not None:
             whole = open_interfaces(whole, interfaces)
@@ -126,7 +126,7 @@ def open_interfaces(whole: WholeMesh, interfaces: Sequence[Interface]) -> WholeM
 # -- the surfaces on rank 0 --------------------------------------------------------------------
 
 
-def _gather(tagged: TaggedMesh) -> WholeMesh | None:
+def gather_mesh(tagged: TaggedMesh) -> WholeMesh | None:
     """Gather a mesh on rank 0, in the order of its input; the others get None. Collective."""
     mesh, owned = tagged.mesh, owned_cells(tagged.mesh)
     geometry = _compat.geometry_cells(mesh)[:owned]
