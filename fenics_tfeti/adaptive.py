@@ -5,9 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
-
-from dolfinx.fem import Function
+from typing import Any, NamedTuple
 
 from fenics_tfeti.errors import InputError, NotConverged, check_value, wrong_type
 from fenics_tfeti.fem import _compat
@@ -76,7 +74,7 @@ def adapt(
     *,
     error: float,
     max_unknowns: int = 100_000,
-    remesh: Callable[[Function], TaggedMesh] | None = None,
+    remesh: Callable[[Any], TaggedMesh] | None = None,
     monitor: bool = False,
 ) -> Adapted:
     """Solve on meshes that follow the error, until it is small enough. Collective.
