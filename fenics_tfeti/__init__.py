@@ -39,6 +39,7 @@ _LAZY = {
         "fem.mesh_error.estimate": "BodyMeshError ContactMeshError MeshError MeshErrorEntry",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",
+        "sensitivities": "Adjoint Tangent",
     }.items()
     for name in names.split()
 }

@@ -63,9 +63,10 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     _has_finite_strains = False
     _last_origin: SlipOrigin | None = None  # of slips in the last solve
     _solved: SolvedContacts | None = None
+    _solution: TornSolution | None = None  # of the torn system, for derivatives
     _solver: TornSolver | None = None
     # what belongs to `u`
-    _state: tuple[str, ...] = ("results", "rigid_bodies", "_solved", "_step")
+    _state: tuple[str, ...] = ("results", "rigid_bodies", "_solved", "_solution", "_step")
 
     def __init__(
         self,
@@ -312,6 +313,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
         Only of the last one of a solve nodes without a condition are looked at.
         """
+        self._solution = solution
         solved = SolvedContacts.of(conditions, solution, self.u, bodies, bool(self._exact))
         self._solved = solved = solved.with_penetration() if is_last else solved
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import Any, Literal
 
 import ufl
-from dolfinx.fem import Function
+from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
@@ -26,13 +26,14 @@ from fenics_tfeti.fem.gradients import CellStrains, large_gradients, large_rotat
 from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
 from fenics_tfeti.fem.newton.rounding import Rounding
+from fenics_tfeti.fem.sensitivity.forms import FormsAtSolution, check_functional
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.sensitivities import Adjoint, Change, Functional, SolvedState, Tangent
 
 
 class ContactProblem(SteppedProblem[ContactReport]):
@@ -115,8 +116,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     _kind = "ContactProblem"
     _report_type = ContactReport
-    _state = (*SteppedProblem._state, "_deformed", "_torn_displacements")
-    _torn_displacements: Sequence[Vector] = ()  # of the subdomains, in equilibrium
+    _state = (*SteppedProblem._state, "_deformed")
 
     def __init__(
         self,
@@ -256,16 +256,152 @@ class ContactProblem(SteppedProblem[ContactReport]):
         >>> print(estimate.error, estimate.bodies["lug"].error)  # doctest: +SKIP
         """
         comm = self.space.mesh.comm
-        if self._solved is None:
+        if self._solved is None or self._solution is None:
             raise InputError("mesh_error() is of a solution; call solve() first")
         meet(comm, "mesh_error()")
         with self._timer.phase("mesh error"):
             cells = MeshErrorProblem(
-                self._torn, self._solved, self._torn_displacements, self.geometry is not None
+                self._torn,
+                self._solved,
+                self._solution.torn_displacements,
+                self.geometry is not None,
             )
             estimate = estimate_mesh_error(cells, self.report.certificate.error)
         self._report = replace(self.report, mesh_error=estimate.entry)
         return estimate
+
+    def adjoint(
+        self,
+        J: ufl.Form | Mapping[str | int, Any] | None = None,
+        *,
+        forces: Mapping[str | int, Any] | None = None,
+        normal_forces: Mapping[str | int, Any] | None = None,
+        rtol: float | None = None,
+    ) -> Adjoint:
+        """Return the derivatives of a functional of the solution by the data. Collective.
+
+        The functional is J plus the weighted forces. It costs one linear solve, with the factors of
+        the solve, whatever the number of parameters; with Coulomb's law a few.
+
+        Parameters
+        ----------
+        J : ufl.Form, or mapping as `forces`, optional
+            Functional of `u`, of rank 0.
+        forces : mapping, optional
+            By name or number of the contact a direction (gdim,), or a vector for each of the nodes
+            of ``results[name]``, (k, gdim): weights of the forces on the slave.
+        normal_forces : mapping, optional
+            By contact a weight, or one (k,) for each of the nodes: of their normal forces.
+        rtol : float, optional
+            Tolerance of the linear solve, by default that of the problem.
+
+        Returns
+        -------
+        Adjoint
+            Its methods give the derivatives.
+
+        Raises
+        ------
+        InputError
+            The problem is not solved, or has changed since; J is not a functional; `geometry` is
+            given: rows that follow the displacement are not differentiated.
+        UnresistedMotion
+            J changes by a motion that nothing resists.
+        NotConverged
+            The tolerance was not reached.
+
+        Examples
+        --------
+        >>> adjoint = problem.adjoint(ufl.dot(problem.u, problem.u) * ds(4))  # doctest: +SKIP
+        >>> adjoint.by(E), adjoint.by_gap("joint")  # doctest: +SKIP
+        >>> problem.adjoint(forces={"joint": (0.0, 1.0)}).by(traction)  # doctest: +SKIP
+        """
+        forces = dict(forces or {})
+        if isinstance(J, Mapping):
+            forces.update(J)
+            J = None
+        state = self._state_for_derivatives(J)
+        functional = Functional.of(state, forces, normal_forces or {})
+        return Adjoint(state, functional, self.options.solver.rtol if rtol is None else rtol)
+
+    def tangent(
+        self,
+        data: Mapping[Function | Constant, Any] | None = None,
+        *,
+        gaps: Mapping[str | int, Any] | None = None,
+        slip_bounds: Mapping[str | int, Any] | None = None,
+        coefficients: Mapping[str | int, Any] | None = None,
+        one_sided: bool = False,
+        rtol: float | None = None,
+    ) -> Tangent:
+        """Return what the solution changes by along changes of the data. Collective.
+
+        Parameters
+        ----------
+        data : mapping, optional
+            Of Functions and Constants of the forms and Dirichlet conditions to changes of their
+            values: a Function or array, or for Constants numbers.
+        gaps, slip_bounds, coefficients : mapping, optional
+            By contact a change, or one (k,) for each of the nodes of ``results[name]``, of the gap
+            [m], of the slip bound [Pa], of Coulomb's coefficient.
+        one_sided : bool
+            Whether nodes that touch without a force press or open as the change asks for; by
+            default they open. It costs a linear solve for each of them.
+        rtol : float, optional
+            Tolerance of the linear solves, by default that of the problem.
+
+        Returns
+        -------
+        Tangent
+            The change of the displacement and of the forces.
+
+        Raises
+        ------
+        InputError, UnresistedMotion, NotConverged
+            As `adjoint`.
+
+        Examples
+        --------
+        >>> tangent = problem.tangent({E: dE}, gaps={"joint": 1e-6})  # doctest: +SKIP
+        >>> tangent.u, tangent.normal_force("joint")  # doctest: +SKIP
+        """
+        state = self._state_for_derivatives(None)
+        change = Change.of(state, data or {}, gaps or {}, slip_bounds or {}, coefficients or {})
+        rtol = self.options.solver.rtol if rtol is None else rtol
+        return Tangent(state, change, one_sided, rtol)
+
+    def _state_for_derivatives(self, J: ufl.Form | None) -> SolvedState:
+        """Return the solved problem for its derivatives, after checking that it is one."""
+        with raise_collectively(self.space.mesh.comm):
+            if self.geometry is not None:
+                raise InputError(
+                    "derivatives are those of undeformed surfaces: with geometry=Exact() normals "
+                    "and gaps follow the displacement, which they leave out. Leave geometry out"
+                )
+            if self._solved is None or self._solution is None or not self.report.converged:
+                raise InputError("there is nothing to differentiate: call solve(), and let it end")
+            if not self._is_solved:
+                raise InputError(
+                    "the step was accepted by advance(): take derivatives before it. How later "
+                    "steps depend on this one, by its slips, is not differentiated"
+                )
+            check_functional(J, self.u)
+        solved, solver = self._solved, self._solver
+        assert solver is not None
+
+        def is_current() -> bool:
+            is_last = self._solved is solved
+            return is_last and self._torn.is_as_found(self.bcs, list(self.contacts))
+
+        if not is_current():
+            raise InputError(
+                "data, supports or contacts have changed since the last solve; call solve() first"
+            )
+        prepared = self._torn.torn.forms
+        forms = FormsAtSolution(prepared.bilinear.form, prepared.linear.form, J, self.u)
+        linear = solver.linear_problem()
+        origin = self._step.origin
+        return SolvedState(self._torn, forms, solved, self._solution, linear, origin, is_current)
 
     # -- the present data --------------------------------------------------------------------------
 
@@ -457,7 +593,6 @@ class ContactProblem(SteppedProblem[ContactReport]):
         bodies = conditions.bodies.moved(conditions.motions_after(solution.displacements))
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
         self._store(solution, conditions, bodies)
-        self._torn_displacements = solution.torn_displacements
         self._step = replace(self._step, displacement=owned_values(uh))
         return uh
 

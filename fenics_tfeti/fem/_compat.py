@@ -23,7 +23,7 @@ import numpy as np
 import dolfinx
 import dolfinx.fem.petsc
 import ufl
-from dolfinx import cpp, fem, mesh
+from dolfinx import cpp, fem, la, mesh
 from ufl.algorithms import extract_coefficients
 from ufl.algorithms.analysis import extract_type
 from ufl.algorithms.apply_algebra_lowering import apply_algebra_lowering
@@ -372,6 +372,38 @@ class CompiledForm:
         constants = np.concatenate([[], *(np.ravel(c.value) for c in self._form.constants())])
         address, arguments = int(ffi.cast("uintptr_t", kernel)), len(ffi.typeof(kernel).args)
         integrate(address, arguments, rows, tensors, coefficients, constants, coordinates, facets)
+
+
+def assembled(form: ufl.Form, space: fem.FunctionSpace) -> Vector:
+    """Return the values of a linear form on a space at dofs that this rank owns. Collective.
+
+    - ``assemble_vector`` leaves what belongs to ghosts to be added to their owners'; 0.5.2 names
+      that ``la.ScatterMode``, 0.9 to 0.11 ``la.InsertMode``.
+    """
+    compiled = with_constants(form, space.mesh)
+    with compiling(compiled.coefficients()):
+        vector = fem.assemble_vector(fem.form(compiled))
+    vector.scatter_reverse(_add())
+    return owned(vector.array, space)
+
+
+def summed_at_owners(values: Vector, space: fem.FunctionSpace) -> Vector:
+    """Return values at all dofs of this rank summed up at their owners. Collective."""
+    function = fem.Function(space)
+    function.x.array[:] = values
+    function.x.scatter_reverse(_add())
+    return owned(function.x.array, space)
+
+
+def owned(values: Vector, space: fem.FunctionSpace) -> Vector:
+    """Return a copy of the values at the dofs that this rank owns."""
+    dofs = space.dofmap
+    return np.array(values[: dofs.index_map.size_local * dofs.index_map_bs])
+
+
+def _add() -> Any:
+    modes = la.InsertMode if hasattr(la, "InsertMode") else la.ScatterMode
+    return modes.add
 
 
 # -- meshes, files and pictures ----------------------------------------------------------------

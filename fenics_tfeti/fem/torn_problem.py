@@ -36,6 +36,7 @@ from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.parallel import any_rank
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -124,6 +125,14 @@ class TornProblem:
         self.undeformed = replace(self.undeformed, prescribed=prescribed)
         return True
 
+    def found_anew(self, contacts: Sequence[Contact | Tie]) -> ContactSet:
+        """Return the conditions of contacts on the nodes as they are now. Collective.
+
+        The problem keeps those that it has.
+        """
+        search = self._search.on_moved_nodes()
+        return search.find(list(contacts), prescribed_values(self.space, self.data.bcs))
+
     def _find(self, search: ContactSearch, data: ProblemData) -> ContactSet:
         return search.find(data.contacts, prescribed_values(self.space, data.bcs))
 
@@ -145,6 +154,23 @@ class TornProblem:
     def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:
         """Fill a displacement at nodes of rigid bodies, of small rotations or any. Collective."""
         return self._search.rigid.fill(uh, bodies, is_small)
+
+    def resultants(self, force: Vector, bodies: RigidBodies) -> Vector:
+        """Return forces and moments on rigid bodies of nodal forces (n,). Collective."""
+        return self._search.rigid.resultants(force.reshape(-1, self.nodes.components), bodies)
+
+    def is_as_found(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
+        """Tell whether all data are those of the last update. Collective."""
+        known, before = self.data.contacts, self.undeformed.prescribed
+        if not (
+            self._is_updated and len(known) == len(contacts) and all(map(is_, known, contacts))
+        ):
+            return False
+        if self.torn.has_moved() or not self.torn.has_same_values():
+            return False
+        now = prescribed_values(self.space, bcs)
+        pairs = ((getattr(before, k), getattr(now, k)) for k in ("nodes", "components", "values"))
+        return not any_rank(self.nodes.comm, [not np.array_equal(*pair) for pair in pairs])
 
     def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
         """Return the torn system, with slip counted from its origin. Collective."""

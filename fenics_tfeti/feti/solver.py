@@ -30,9 +30,10 @@ from fenics_tfeti.feti.factors.supernodal import Orderings
 from fenics_tfeti.feti.files.checkpoint import SavedState
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.report.report import Report, build_report
-from fenics_tfeti.feti.report.resultants import tangential_forces
+from fenics_tfeti.feti.report.resultants import friction_shares, tangential_forces
 from fenics_tfeti.feti.solution.attempts import next_attempt
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
+from fenics_tfeti.feti.solution.linear import LinearProblem
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import dual_problem
 from fenics_tfeti.feti.solution.setup import (
@@ -42,7 +43,7 @@ from fenics_tfeti.feti.solution.setup import (
     choose_factor,
     factor_subdomains,
 )
-from fenics_tfeti.feti.solution.states import ContactData, History, Outcome
+from fenics_tfeti.feti.solution.states import Candidate, ContactData, History, Outcome
 from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
@@ -169,6 +170,7 @@ class TornSolver:
         self._constraints = self.setup.constraints
         self._norm_products = self.setup.norm.products
         self._start = self._first_state(previous, guess, start)
+        self._last: Candidate | None = None  # where the last solve has ended
 
     def _set_up(
         self, package: str, previous: TornSolver | None, guess: ContactGuess | None
@@ -307,6 +309,20 @@ class TornSolver:
         setup = setup.without_deflation()
         return dual_problem(SolveContext(setup, self.data, self.options, self.timer, monitor))
 
+    def linear_problem(self) -> LinearProblem:
+        """Return the linear problem on the face where the last solve has ended. Collective.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved, or the solver was released.
+        """
+        if self._last is None:
+            raise InputError("there is no face that a solve has ended on; call solve() first")
+        setup = self.setup.for_solve(_is_direct(self._start))
+        shares = friction_shares(self._constraints, self.data, self._last.multipliers)
+        return LinearProblem.build(self.system, setup, self._last, self.options, shares)
+
     def release(self) -> None:
         """Free the factors and the stiffness matrices of this solver, which cannot solve then.
 
@@ -316,6 +332,7 @@ class TornSolver:
         self.system = replace(self.system, subdomains=[])
         if hasattr(self, "setup"):
             del self.setup, self._balance
+            self._last = None
 
     def solve(self, monitor: MonitorFunction | None = None) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
@@ -361,6 +378,7 @@ class TornSolver:
         balance = partial(self._balance, explain=False)
         outcome = iterate_slip_bounds(context, self._start, balance)
         self._start = replace(outcome.start, is_direct=setup.is_direct)
+        self._last = outcome.candidate
         report = build_report(self.system, context, outcome, list(self.reused))
         if self._has_own_timer:
             self.timer.restart()

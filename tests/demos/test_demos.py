@@ -41,6 +41,13 @@ def test_hertz_cylinder(demo):
     assert demo["errors"]["groove"] == pytest.approx((0.0, 0.0), abs=0.008)
 
 
+def test_roller_crown(demo):
+    """The pressure on the strip is its mean, found with few solves."""
+    assert demo["last"] < 1e-3 * demo["first"]
+    assert demo["worst"] < 0.01
+    assert demo["found"].nfev < 40
+
+
 def test_axisymmetric_ball(demo):
     """Radius and largest pressure of the contact area by Hertz's formulas; statics."""
     assert demo["F"] == pytest.approx(demo["force"], rel=1e-9)

@@ -227,6 +227,14 @@ class TornMesh:
         domain = self._space.mesh
         return not same_values([self._x], [domain.geometry.x], domain.comm)
 
+    def has_same_values(self) -> bool:
+        """Tell whether the data of the forms are those of the last assembly. Collective."""
+        comm, old = self._space.mesh.comm, self._values
+        if old is None:
+            return False
+        new = self.forms.values()
+        return same_values(old[0], new[0], comm) and same_values(old[1], new[1], comm)
+
     def assemble(self, release: Callable[[], None] | None = None) -> list[Subdomain]:
         """Assemble what changed: the loads, or all after `release` of what the caller holds."""
         comm, old, new = self._space.mesh.comm, self._values, self.forms.values()

@@ -111,8 +111,17 @@ def tangential_forces(constraints: Constraints, data: ContactData, multipliers: 
     """Return the tangential force of each frictional row of this rank, (k, gdim - 1) [N].
 
     It acts on the slave against the tangents. It is zero where there is nothing to touch, and in
-    directions that prescribed displacements decide. Contacts at one site share its force as their
-    bounds are. Collective.
+    directions that prescribed displacements decide. Collective.
+    """
+    friction, shares = constraints.friction, friction_shares(constraints, data, multipliers)
+    forces = friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
+    return shares[:, None] * forces
+
+
+def friction_shares(constraints: Constraints, data: ContactData, multipliers: Vector) -> Vector:
+    """Return the part (k,) of a site's force that each frictional row of this rank has.
+
+    Contacts at one site share its force as their bounds are. Collective.
     """
     friction = constraints.friction
     pressing = friction.pressing(multipliers, constraints.layout)
@@ -122,9 +131,7 @@ def tangential_forces(constraints: Constraints, data: ContactData, multipliers: 
         friction.given(data.bound.at(pressing)),
         data.own_bound.at(friction.given(pressing)),
     )
-    share = np.divide(part, bound, out=np.ones_like(part), where=bound > 0.0)
-    forces = friction.given(friction.scale[:, None] * friction.at_sites(multipliers))
-    return share[:, None] * forces
+    return np.divide(part, bound, out=np.ones_like(part), where=bound > 0.0)
 
 
 def resultants(

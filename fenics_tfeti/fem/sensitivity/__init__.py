@@ -1,0 +1,1 @@
+"""Derivatives of a solved problem's forms, supports and conditions by their data."""

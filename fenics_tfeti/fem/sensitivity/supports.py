@@ -1,0 +1,57 @@
+"""Where the values of a Function or a Constant are prescribed as displacements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+
+from dolfinx.fem import Constant, Function, FunctionSpace
+
+from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.feti.system import Prescribed
+from fenics_tfeti.typing import Numbers, Vector
+
+
+def prescribed_entries(
+    space: FunctionSpace, bcs: Sequence[Any], prescribed: Prescribed, m: Function | Constant
+) -> tuple[Numbers, Numbers]:
+    """Return the dofs of this rank whose displacement is a value of m, and its position in m.
+
+    Of a degree of freedom in several conditions it is the last one that counts. Values are numbered
+    to see where they arrive: the conditions of no version of dolfinx tell.
+    """
+    nodes = NodeMap(space)
+    block, size = nodes.components, nodes.components * nodes.size
+    at = block * nodes.to_local(prescribed.nodes) + prescribed.components
+    condition = np.full(size, -1)
+    condition[at] = prescribed.condition
+    dofs, entries = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+    with _numbered(m) as set_first:
+        for number, bc in enumerate(bcs):
+            set_first(0.0)
+            of_bc, low = _compat.bc_values(bc, size)
+            set_first(1.0)
+            high = _compat.bc_values(bc, size)[1]
+            depends = (high != low) & (condition[of_bc] == number)
+            dofs.append(np.asarray(of_bc)[depends].astype(np.int64))
+            entries.append(low[depends].astype(np.int64))
+    return np.concatenate(dofs), np.concatenate(entries)
+
+
+@contextmanager
+def _numbered(m: Function | Constant) -> Iterator[Any]:
+    """Give a function that sets the values of m to numbers in a row; set them back in the end."""
+    values: Vector = m.x.array if isinstance(m, Function) else m.value
+    kept = np.array(values)
+
+    def set_first(first: float) -> None:
+        values[...] = first + np.arange(kept.size).reshape(kept.shape)
+
+    try:
+        yield set_first
+    finally:
+        values[...] = kept

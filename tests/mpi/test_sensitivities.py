@@ -1,0 +1,65 @@
+"""Derivatives on several ranks: as on one."""
+
+from functools import partial
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from sensitivity_scenes import (
+    RTOL,
+    block_on_roller,
+    blocks,
+    of_constant,
+    of_contact,
+    of_function,
+    of_mesh,
+    tied_stack,
+)
+
+from fenics_tfeti import Coulomb, RigidBody, Tresca
+
+COMM = MPI.COMM_WORLD
+KINDS = {
+    "mortar": partial(blocks, n=4, m=5),
+    "Coulomb": partial(blocks, n=4, m=4, friction=Coulomb(0.3)),
+    "3D, Tresca": partial(blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3)),
+    "tied": tied_stack,
+    "body": partial(
+        block_on_roller,
+        body=RigidBody((0.45, -2.0), force=(0.0, 0.02), rotation=0.0, spring=(0.05, 0.05, 1.0)),
+    ),
+}
+
+
+def derivatives(scene, kind):
+    """Return derivatives by all data along directions that ranks share, and tangents' values."""
+    scene.solve()
+    parameters = [
+        of_function(scene.E, 1e-3),
+        of_function(scene.body_force, 1e-4),
+        of_constant(scene.traction, 1e-4),
+        of_function(scene.clamp, 1e-5),
+        of_mesh(scene, 1e-4),
+    ]
+    if "Coulomb" in kind:
+        parameters.append(of_contact(scene, "coefficient", 1e-3))
+    if "Tresca" in kind:
+        parameters.append(of_contact(scene, "bound", 1e-5))
+    scene.solve()
+    adjoint = scene.adjoint()
+    slopes = [parameter.slope(adjoint) for parameter in parameters]
+    tangents = [
+        scene.change(scene.problem.tangent(**parameter.tangent, rtol=RTOL))
+        for parameter in parameters
+        if parameter.tangent is not None
+    ]
+    loads = adjoint.by_load(0).tolist() if kind == "body" else []
+    return np.array([*slopes, *tangents, *loads])
+
+
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize("kind", KINDS)
+def test_as_on_one_rank(kind):
+    dealt, alone = (derivatives(KINDS[kind](comm=comm), kind) for comm in (COMM, MPI.COMM_SELF))
+    assert dealt == pytest.approx(alone, rel=1e-8, abs=1e-9 * np.abs(alone).max())

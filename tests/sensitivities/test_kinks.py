@@ -1,0 +1,45 @@
+"""Nodes that touch without a force: derivatives of one side."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import LOADED, pressed_block
+
+from dolfinx import fem
+
+OPTIONS = {"rtol": 1e-12}
+
+
+def touching_block(gdim_cell):
+    """Return a block whose foot touches a plane without a force, and its top's displacement."""
+    scene = pressed_block(MPI.COMM_SELF, gdim_cell, n=3, approach=0.0)
+    up = scene.gdim - 1
+    top = fem.Constant(scene.mesh, 0.0)
+    scene.bcs = scene.bcs[1:]
+    scene.fix(LOADED, up, top)
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    return scene, problem, top
+
+
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_derivative_of_one_side(cell, sign):
+    """The solution is linear on both sides of the kink."""
+    scene, problem, top = touching_block(cell)
+    nodes = problem.results[0].nodes.size
+    tangent = problem.tangent({top: sign}, one_sided=True, rtol=1e-12)
+    assert tangent.kinks == {problem.report.contacts[0].name: (nodes, 0)}
+    u, force = tangent.u.x.array.copy(), tangent.normal_force(0)
+    top.value = 1e-3 * sign
+    exact = problem.solve().x.array / 1e-3
+    assert u == pytest.approx(exact, abs=1e-6 * np.abs(exact).max())
+    scale = max(np.abs(force).max(), 1.0)
+    assert force == pytest.approx(problem.results[0].normal_force / 1e-3, abs=1e-6 * scale)
+
+
+def test_by_default_nodes_that_touch_open():
+    scene, problem, top = touching_block("triangle")
+    tangent = problem.tangent({top: -1.0}, rtol=1e-12)
+    assert not tangent.normal_force(0).any()

@@ -1,0 +1,128 @@
+"""Derivatives against differences of solves, and tangents against adjoints."""
+
+from __future__ import annotations
+
+import functools
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from sensitivity_scenes import (
+    RTOL,
+    Parameter,
+    block_on_roller,
+    blocks,
+    of_constant,
+    of_contact,
+    of_function,
+    of_mesh,
+    taylor,
+    tied_stack,
+)
+
+from fenics_tfeti import Coulomb, RigidBody, Sphere, Tresca
+
+KINDS = {
+    "node pairs": blocks,
+    "mortar": partial(blocks, n=4, m=5),
+    "degree 2": partial(blocks, n=2, m=2, degree=2),
+    "degree 2, mortar": partial(blocks, "quadrilateral", 2, 3, degree=2),
+    "axisymmetric": partial(blocks, is_axisymmetric=True),
+    "Tresca": partial(blocks, friction=Tresca(1.5e-3)),
+    "Tresca, mortar": partial(blocks, n=4, m=5, friction=Tresca(1.5e-3)),
+    "Coulomb": partial(blocks, friction=Coulomb(0.3)),
+    "Coulomb, mortar": partial(blocks, n=4, m=5, friction=Coulomb(0.3)),
+    "3D, mortar": partial(blocks, "hexahedron", 2, 3),
+    "3D, Tresca": partial(blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3)),
+    "3D, Coulomb": partial(blocks, "tetrahedron", 2, 3, friction=Coulomb(0.3)),
+    "tied": tied_stack,
+    "obstacle": block_on_roller,
+    "obstacle, Tresca": partial(block_on_roller, Tresca(1.5e-3)),
+    "3D obstacle, Coulomb": partial(block_on_roller, Coulomb(0.3), "hexahedron"),
+    "body": partial(
+        block_on_roller,
+        body=RigidBody((0.45, -2.0), force=(0.0, 0.02), rotation=0.0, spring=(0.05, 0.05, 1.0)),
+    ),
+}
+PARAMETERS = {
+    "modulus": lambda s: of_function(s.E, 4e-4),
+    "body force": lambda s: of_function(s.body_force, 1e-4),
+    "traction": lambda s: of_constant(s.traction, 1e-4),
+    "support": lambda s: of_function(s.clamp, 1e-5),
+    "gap": lambda s: of_contact(s, "gap", 1e-5),
+    "bound": lambda s: of_contact(s, "bound", 1e-5),
+    "coefficient": lambda s: of_contact(s, "coefficient", 1e-3),
+    "nodes": lambda s: of_mesh(s, 2e-4),
+}
+
+
+@functools.cache
+def made(kind):
+    return KINDS[kind]()
+
+
+def solved(kind):
+    scene = made(kind)
+    scene.problem.contacts = list(scene.contacts)
+    scene.solve()
+    return scene
+
+
+def has(kind, name):
+    if name == "gap" and ("obstacle" in kind or kind in ("tied", "body")):
+        return False
+    law = {"bound": "Tresca", "coefficient": "Coulomb"}.get(name)
+    return law is None or law in kind
+
+
+# those of other kinds are for the long run
+QUICK = ("mortar", "Coulomb, mortar", "3D, Tresca", "body")
+CASES = [
+    pytest.param(kind, name, marks=[] if kind in QUICK else pytest.mark.heavy)
+    for kind in KINDS
+    for name in PARAMETERS
+    if has(kind, name)
+]
+
+
+@pytest.mark.parametrize(("kind", "name"), CASES)
+def test_remainder_of_second_order(kind, name):
+    scene = solved(kind)
+    rates, same = taylor(scene, PARAMETERS[name](scene))
+    assert same
+    assert np.all(np.abs(rates - 2.0) < 0.05), rates
+
+
+@pytest.mark.parametrize(("kind", "name"), [case for case in CASES if case.values[1] != "nodes"])
+def test_tangent_is_the_transposed_adjoint(kind, name):
+    scene = solved(kind)
+    parameter = PARAMETERS[name](scene)
+    scene.solve()
+    slope = parameter.slope(scene.adjoint())
+    tangent = scene.problem.tangent(**parameter.tangent, rtol=RTOL)
+    assert scene.change(tangent) == pytest.approx(slope, rel=1e-9)
+
+
+def test_obstacle():
+    """Its place, by translations, and its radius."""
+    scene = solved("obstacle")
+    contact = scene.joint
+    centre = np.array([0.45, -2.0])
+
+    def changed(s):
+        return replace(contact, obstacle=Sphere(centre + [s, 2 * s], 2.0 + 0.5 * s))
+
+    def set_value(s):
+        scene.problem.contacts = [changed(s)]
+
+    along = Parameter(set_value, lambda adjoint: adjoint.by_obstacle("joint", changed), None, 1e-4)
+    rates, same = taylor(scene, along)
+    assert same and np.all(np.abs(rates - 2.0) < 0.05), rates
+    scene.solve()
+    adjoint = scene.adjoint()
+    radius = adjoint.by_obstacle(
+        "joint", lambda s: replace(contact, obstacle=Sphere(centre, 2 + s))
+    )
+    place = adjoint.by_obstacle("joint")
+    assert place @ [1.0, 2.0] + 0.5 * radius == pytest.approx(along.slope(adjoint), rel=1e-7)
