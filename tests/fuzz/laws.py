@@ -285,8 +285,13 @@ class Laws:
         # is displaced by errors, which the solution's accuracy limits, times what holds it
         held = np.abs(body.stiffness[: self.gdim, : self.gdim]).max(initial=0.0) * self.length
         floor = max(1e-6 * self.force, self.posed.rtol * held / self.allowed)
+        # passes and Newton's method end with what is left relative to the forces of all bodies,
+        # moments as forces at the corners of a simplex around the contact, gdim times as wide
+        if self.posed.method != "linear":
+            every = sum(float(np.linalg.norm(part, axis=1).sum()) for part in self.forces)
+            floor = max(floor, self.posed.balance * self.comm.allreduce(every) / self.allowed)
         scale = np.full(body.modes, max(size, floor))
-        scale[self.gdim :] *= self.extent
+        scale[self.gdim :] = self.extent * max(size, self.gdim * floor)
         free = body.is_free
         return float(np.abs(total / (self.allowed * scale + 1e-300))[free].max(initial=0.0))
 

@@ -26,6 +26,8 @@ Points = Callable[[Vector], Any]
 
 # tags of facets; those of the surfaces are numbers from SURFACE on
 BASE, LOADED, SURFACE = 1, 3, 10
+# tolerance of passes over the geometry
+EXACT = 1e-6
 ACCURACY = {
     "linear": {"rtol": 1e-8},
     "exact": {"rtol": 1e-8},
@@ -270,7 +272,7 @@ class Posed(Scene):
             residual = elastic - self.L if self.L else elastic
             self.solved = NonlinearContactProblem(residual, self.now, **given)
         else:
-            exact = Exact(1e-6) if self.method == "exact" else None
+            exact = Exact(EXACT) if self.method == "exact" else None
             self.solved = ContactProblem(
                 elastic, self.L, u=self.now, **{"geometry": exact, **given}
             )
@@ -286,6 +288,11 @@ class Posed(Scene):
     def rtol(self) -> float:
         """The tolerance of displacements."""
         return float(self.accuracy.get("newton_rtol", self.accuracy["rtol"]))
+
+    @property
+    def balance(self) -> float:
+        """The part of all forces that may be left on a rigid body."""
+        return EXACT if self.method == "exact" else self.rtol
 
     def advance(self) -> None:
         """Accept the step."""
