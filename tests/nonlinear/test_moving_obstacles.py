@@ -135,6 +135,28 @@ def test_arms_of_a_plate_that_travels(is_cells, travel, weight):
 
 
 @pytest.mark.ranks(1, 2)
+def test_friction_carries_a_body_along():
+    """A plate on springs sticks to a block that moves sideways, with exact non-penetration."""
+    parts = [((0, 0), (1, 1), (3, 3))]
+    marks = [(GROUND, at(1, 0.0)), (11, at(1, 1.0))]
+    scene = Scene.of_boxes(COMM, "quadrilateral", parts, marks)
+    scene.fix(GROUND, 0, 0.02)
+    scene.fix(GROUND, 1, 0.02)
+    plate = RigidBody((0.5, 1.0), spring=np.full(3, 1e6), name="plate")
+    scene.add_obstacle(11, Plane((0, 1), (0, -1)), body=plate, friction=Coulomb(0.9))
+    a = ufl.inner(isotropic(1e7, 0.3)(scene.u), ufl.grad(scene.v)) * scene.dx
+    given = {"bcs": scene.bcs, "contacts": scene.contacts, "geometry": Exact(tolerance=1e-6)}
+    problem = ContactProblem(a, scene.L, **given)
+    u = problem.solve().x.array.reshape(-1, 2)
+    way = problem.rigid_bodies[0].translation[0]
+    assert way > 0.01
+    friction, dofs = problem.results[0].friction, problem.results[0].dofs
+    stuck = friction.sticking & (problem.results[0].normal_force > 0.0)
+    np.testing.assert_allclose(u[dofs[stuck], 0], way, rtol=1e-3)
+    assert COMM.allreduce(int(stuck.sum())) >= 2
+
+
+@pytest.mark.ranks(1, 2)
 @pytest.mark.parametrize(("dim", "mu"), [(2, 0.3), (2, 2.0), (3, 0.3)])
 def test_forces_are_those_of_the_last_state(dim, mu):
     """They fulfil the law of friction and are in equilibrium with u, by dolfinx, by default.

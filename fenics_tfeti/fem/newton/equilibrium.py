@@ -41,16 +41,17 @@ class DeformedRows:
     def of(conditions: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
         """Return those of conditions of the deformed surfaces. Collective.
 
-        Slip is from the origin.
+        Slip is that from the origin to u and to where the rigid bodies are.
         """
         nodes, u = conditions.boundary.nodes, owned_values(uh)
         contacts, tied = conditions.rows(), conditions.tied_rows()
         free = conditions.bodies.free_displacements(nodes.total)
         moved = row_values(nodes, contacts, u, free)
+        here = replace(conditions, bodies=replace(conditions.bodies, from_here=True))
         return DeformedRows(
             conditions,
             replace(contacts, gap=contacts.gap - moved),
-            conditions.friction_rows(origin, u),
+            here.friction_rows(origin, u),
             replace(tied, gap=tied.gap - row_values(nodes, tied, u, free)),
         )
 
