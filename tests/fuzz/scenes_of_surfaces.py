@@ -273,7 +273,7 @@ def interference(draw: Draw) -> Ratios:
     amount = draw.one_of(0.0, 1e-6, 1e-4, 1e-3, 1e-2)
     n, m = draw.count(1, 3), draw.count(1, 3)
     shape = None
-    pairs = [(TOP, OTHER, 2, 1)]
+    pairs = [(TOP, OTHER)]
     if kind == "lap joint":
         lap = draw.between(0.3, 1.0)
         parts = [
@@ -294,7 +294,7 @@ def interference(draw: Draw) -> Ratios:
         ]
         marks = levels(1, (OTHER, 1.0, 1), (TOP, 1.0 - amount, 2), (SECOND, 1.0 - amount, 3))
         marks += [(BASE, at(1, 0.0), 1), (LOADED, at(0, -2.5), 2), (LEFT, at(0, 5.5), 3)]
-        pairs.append((SECOND, OTHER, 3, 1))
+        pairs.append((SECOND, OTHER))
     elif kind == "press fit":
         parts = [
             ((0.0, 0.0), (1.0, 1.0), (2 * n, 2 * n)),
@@ -308,7 +308,7 @@ def interference(draw: Draw) -> Ratios:
             (LOADED, at(1, 0.0), 2),
             (LEFT, at(0, 3.0), 3),
         ]
-        pairs.append((SECOND, FOURTH, 2, 3))
+        pairs.append((SECOND, FOURTH))
     else:
         offset, height = draw.between(-0.4, 0.4), draw.one_of(0.02, 0.05)
         parts = [
@@ -318,13 +318,18 @@ def interference(draw: Draw) -> Ratios:
         marks = levels(1, (OTHER, 1.0, 1), (TOP, 1.0, 2), (BASE, 0.0, 1), (LOADED, 2.0, 2))
         shape = lambda x: np.stack([x[0], x[1] + height * np.sin(3.0 * x[0])])  # noqa: E731
 
+    if n < m:
+        # of pairs that are found the slave has the larger facets; with the roles exchanged this is
+        # another discrete problem, which differs by more than a tenth on meshes of four facets
+        pairs = [(master, slave) for slave, master in pairs]
+
     def solved(frame: Frame, is_named: bool) -> Answer:
         posed = draw.pose(frame, "quadrilateral", parts, marks, "linear", shape)
         posed.hold(BASE)
         posed.hold(LOADED, up(2, -0.001))
         if (LEFT, marks[-1][1]) == marks[-1][:2]:
             posed.hold(LEFT)
-        for slave, master, _, _ in pairs if is_named else ():
+        for slave, master in pairs if is_named else ():
             posed.add_pair(slave, master, roles="given")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -338,7 +343,7 @@ def interference(draw: Draw) -> Ratios:
         # gaps between facets of other sizes depend on the slave: nothing is pushed far
         sizes = [draw.posed.largest(answer.u) for answer in (first, second)]
         return {"size": sizes[1] / (5.0 * sizes[0])}
-    # slave and master may be others, and nodes in pairs
+    # nodes may be in pairs
     return differ(draw.posed, first, second, 0.1)
 
 
