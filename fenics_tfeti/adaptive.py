@@ -20,6 +20,8 @@ logger = logging.getLogger(__name__)
 
 # share of the error in the cells that are refined
 _SHARE = 0.4
+# what sizes of a new mesh are for, relative to the error: it has the sizes in the mean only
+_AIM = 0.9
 # an error that is smaller by no more than this, with a new mesh, will not be small enough
 _STAGNATION = 0.98
 
@@ -143,7 +145,7 @@ def adapt(
             mesh = refine(mesh, estimate.mark(_share(estimate, error)))
         else:
             _check_progress(levels, problem)
-            mesh = remesh(estimate.sizes(error))
+            mesh = remesh(estimate.sizes(_AIM * error))
         coarse = problem if problem.options.solver.method == "active_set" else None
 
 

@@ -88,7 +88,10 @@ class ContactReport(Report):
         )
         lines = [*to_check, *table, *roles, self.summary(self.units.force), largest]
         if self.mesh_error is not None:
+            is_larger = self.mesh_error.error >= self.certificate.error
+            mend = "the mesh is larger: refine it" if is_larger else "the iterations is larger"
             lines.append(f"{'error of mesh':>16}  {self.mesh_error}")
+            lines.append(f"{'':>16}  of both errors that of {mend}")
         return "\n".join(lines)
 
     def to_html(

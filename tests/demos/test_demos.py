@@ -168,6 +168,24 @@ def test_finer_meshes(demo):
     assert saved.products["total"] < alone.products["total"]
 
 
+def test_adaptive_roller(demo):
+    """5 % with a third of the unknowns of uniform meshes, and fewer of degree 2."""
+    last = {degree: found.levels[-1] for degree, found in demo["found"].items()}
+    assert max(level.error for level in last.values()) <= 0.05
+    assert last[1].unknowns < 1800
+    assert last[2].unknowns < 600
+    uniform = 10.0 ** demo["curves"]["uniform, degree 1"][1][-1]
+    assert uniform > 100 * last[1].error
+
+
+@pytest.mark.once
+def test_remeshed_joint(demo):
+    """The largest pressure is that of a mesh with ten times as many unknowns, 3.67e-3."""
+    assert demo["estimate"].error <= 0.01
+    assert len(demo["levels"]) <= 4
+    assert demo["joint"].pressure.max() == pytest.approx(3.67e-3, rel=0.02)
+
+
 @pytest.mark.once
 @also_short("5", "12")
 def test_sliding_block(demo):

@@ -67,7 +67,7 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
     kind = "verdict check" if to_check else "verdict"
     if not report["converged"]:
         kind = "verdict open"
-    error = _number(report["certificate"]["error"])
+    error, of_mesh = _number(report["certificate"]["error"]), report.get("mesh_error")
     unknowns, products = report["unknowns"], report["products"]
     friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
     displacement = f"{_number(report['largest_displacement'])} {units.length}"
@@ -75,6 +75,7 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
         *to_check,
         ("result", report["reason"]),
         ("error", f"at most {error} in the energy norm, without that of the mesh"),
+        *([("error of the mesh", _mesh_error(of_mesh))] if of_mesh else []),
         ("largest displacement", displacement),
         ("largest strain", _number(report["largest_strain"])),
         ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
@@ -90,6 +91,12 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
         *(("weak motion", motion) for motion in report["weak_motions"]),
     ]
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
+
+
+def _mesh_error(entry: Mapping[str, Any]) -> str:
+    bodies = [f"{name} {100 * of['error']:.2g} %" for name, of in entry["bodies"].items()]
+    listed = f" ({', '.join(first_few(bodies, 4, 'bodies'))})" if len(bodies) > 1 else ""
+    return f"about {100 * entry['error']:.2g} % in the energy norm{listed}"
 
 
 def _section(title: str, rows: Sequence[Sequence[Any]]) -> list[str]:

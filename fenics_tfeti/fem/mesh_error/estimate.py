@@ -190,6 +190,25 @@ class MeshError:
         """Return the errors as a line to read."""
         return f"error of the mesh {self.entry}"
 
+    @property
+    def density(self) -> Function:
+        """How the error is distributed, of degree 0, for pictures.
+
+        The logarithm to the base 10 of the square of a cell's error over its volume, relative to
+        the mean energy density: large and small cells compare. At least -12.
+        """
+        W = self.cells.function_space
+        faces = CellFaces(self.space, np.arange(owned_cells(W.mesh), dtype=np.int32))
+        volumes = faces.volumes()
+        mean = self.energy_norm**2 / self._comm.allreduce(volumes.sum())
+        relative = self._squares / (volumes * (mean or 1.0))
+        density = Function(W)
+        dofs = _compat.cell_dofs(W)[: volumes.size, 0]
+        density.x.array[dofs] = np.log10(np.maximum(relative, 1e-12))
+        density.x.scatter_forward()
+        density.name = "mesh_error_density"
+        return density
+
     def mark(self, share: float = 0.5) -> Indices:
         """Return the cells of this rank that have a share of the error, and are few. Collective.
 

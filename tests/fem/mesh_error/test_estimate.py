@@ -273,6 +273,14 @@ def test_sizes_for_the_same_error_are_the_present_ones_in_the_mean():
     assert (finer.x.array <= sizes.x.array).all()
 
 
+def test_density_of_the_error_compares_cells_of_any_size():
+    estimate = error_of(roller(COMM, 8, 1, "triangle", grade=1.6))
+    squares, total = 10.0**estimate.density.x.array, 0.02**2
+    cells = estimate.cells.x.array**2 / estimate.energy_norm**2
+    assert np.sum(cells) == pytest.approx(estimate.error**2)
+    assert (cells * total / squares).sum() == pytest.approx(total)
+
+
 def test_report_has_it_once_it_was_called():
     problem = posed(beams(COMM, 4))
     problem.solve()
@@ -282,7 +290,8 @@ def test_report_has_it_once_it_was_called():
     entry = problem.report.to_dict()["mesh_error"]
     assert entry["error"] == estimate.error
     assert entry["contacts"]["joint"]["error"] == estimate.contacts["joint"].error
-    line = str(problem.report).splitlines()[-1]
+    line, mend = str(problem.report).splitlines()[-2:]
+    assert mend.strip() == "of both errors that of the mesh is larger: refine it"
     assert "about 48 % in the energy norm (cell tag 1 49, cell tag 2 47)" in line
     assert "% at the largest pressure of 'joint'" in line
 
