@@ -83,7 +83,7 @@ def problem_on(tagged, degree=1):
         fem.dirichletbc(depth, bottom, V.sub(1)),
     ]
     roller = RigidObstacle(
-        tagged.facet_tags, slave=TOP, obstacle=Sphere(centre=(0, R), radius=R), name="roller"
+        tagged.facet_tags, slave=TOP, obstacle=Sphere(centre=(0, R), radius=R), name="rigid roller"
     )
     return ContactProblem(a, 0, bcs=bcs, contacts=[roller])
 

@@ -81,7 +81,7 @@ def draw():
 def new_mesh(sizes=None):
     """Return a mesh with curved cells, of one size or of the sizes of a function."""
     with tempfile.TemporaryDirectory() as folder:
-        file = comm.bcast(str(Path(folder) / "joint.msh"))
+        file = comm.bcast(str((Path(folder) / "parts").with_suffix(".msh")))
         if comm.rank == 0:
             gmsh.initialize()
             gmsh.option.setNumber("General.Terminal", 0)
