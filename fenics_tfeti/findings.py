@@ -14,6 +14,7 @@ import numpy as np
 from fenics_tfeti.errors import first_few
 from fenics_tfeti.fem.contact.contact_set import FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.solution.apart import contacts_apart
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
@@ -51,6 +52,15 @@ def contact_findings(solved: SolvedContacts, bodies: Bodies, length: str) -> lis
         *contacts.unresolved(),
         *contacts.overlapping(length),
         *contacts.deep_obstacles(bodies, length),
+    ]
+
+
+def apart_findings(solved: SolvedContacts) -> list[str]:
+    """Name contacts whose deformed surfaces are opposite nothing. Collective."""
+    return [
+        f"{parts[0].pairing.name!r} has not met anything: its surfaces are nowhere opposite each "
+        "other"
+        for parts in contacts_apart(solved.conditions, solved.displacement)
     ]
 
 

@@ -26,13 +26,19 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
+from fenics_tfeti.fem.contact.solution.apart import check_may_meet
 from fenics_tfeti.fem.contact.solution.results import Results
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellStrains
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
-from fenics_tfeti.findings import contact_findings, strain_findings, unaccepted_step
+from fenics_tfeti.findings import (
+    apart_findings,
+    contact_findings,
+    strain_findings,
+    unaccepted_step,
+)
 from fenics_tfeti.options import ContactOptions
 from fenics_tfeti.parallel import (
     largest_of_ranks,
@@ -113,6 +119,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             rigid=as_rigid(rigid),
             size=options.subdomain_size,
             partitioner=options.partitioner,
+            may_turn=bool(self._exact),
             **data,
         )
         self._torn = TornProblem(self.space, a, L, torn, self._timer)
@@ -329,21 +336,37 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
     @contextmanager
     def _looking_over(self) -> Iterator[None]:
-        """Put what there is to check, and warnings, into the report of a solve in the block."""
+        """Put what there is to check, and warnings, into the report of a solve in the block.
+
+        Surfaces that have not met, and look the same way, are an error once the solve has ended.
+        """
         texts, before = list[str](), self._step.displacement
         is_next = self._is_solved and self._step.origin is self._last_origin
         try:
             with keep_warnings(texts):
                 yield
-        except NotConverged as error:
-            if error.report is not None:
+        except (NotConverged, UnresistedMotion) as error:
+            self._check_may_meet(error)
+            if isinstance(error, NotConverged) and error.report is not None:
                 self._look_over(texts, before if is_next else None)
                 error.report = self._report
             raise
+        self._check_may_meet()
         large = self._look_over(texts, before if is_next else None)
         if not self._has_warned:
             warn_on_first_rank(self.space.mesh.comm, *large)
         self._has_warned = self._has_warned or bool(large)
+
+    def _check_may_meet(self, failure: Exception | None = None) -> None:
+        """Check contacts that have not met, in the last state or after a failure in the first."""
+        if not self._exact:
+            return
+        solved = self._solved if failure is None else None
+        conditions = self._torn.undeformed if solved is None else solved.conditions
+        try:
+            check_may_meet(conditions, self.u)
+        except InputError as error:
+            raise error from failure
 
     def _look_over(self, texts: list[str], before: Vector | None) -> list[str]:
         """Complete the report; return what it says of large motions. Collective.
@@ -358,6 +381,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         strain = largest_of_ranks(comm, strains.strain[bodies.of_cell < bodies.deformable])
         large = self._large_motions(strains)
         texts += contact_findings(self._solved, bodies, self.report.units.length)
+        texts += apart_findings(self._solved) if self._exact else []
         texts += strain_findings(strain)
         texts += unaccepted_step(self._solved, u, before)
         # what rank 0 alone has warned of is in its list

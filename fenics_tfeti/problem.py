@@ -500,7 +500,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             error.solution = self._store_results(error.solution, conditions)
             error.report = self.report
             raise
-        self._store_results(solution, conditions)
+        self._store_results(solution, conditions, is_last=self.geometry is None)
         return solution
 
     def _guess(
@@ -532,12 +532,14 @@ class ContactProblem(SteppedProblem[ContactReport]):
             solution = self._solve_linearised(conditions, None if passes else coarse, monitor)
             new_pass = self._geometry_pass(conditions, solution)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
+            is_exact = new_pass.error <= geometry.tolerance
+            is_last = is_exact or len(passes) >= geometry.max_passes
+            if is_last:
+                self._store_results(solution, conditions)
             seconds = self._timer.slowest(comm)
             self._report = replace(self.report, passes=passes, seconds=seconds)
-            if passes[-1].error <= geometry.tolerance:
-                return self.u
-            if len(passes) >= geometry.max_passes:
-                return self._not_exact(geometry, self.u, passes[-1])
+            if is_last:
+                return self.u if is_exact else self._not_exact(geometry, self.u, passes[-1])
             self._step = replace(self._step, passes=passes)
             self._save(checkpoint)
             assert self._deformed is not None
@@ -588,11 +590,13 @@ class ContactProblem(SteppedProblem[ContactReport]):
             )
         return uh
 
-    def _store_results(self, solution: TornSolution, conditions: ContactSet) -> Function:
+    def _store_results(
+        self, solution: TornSolution, conditions: ContactSet, is_last: bool = True
+    ) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         bodies = conditions.bodies.moved(conditions.motions_after(solution.displacements))
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
-        self._store(solution, conditions, bodies)
+        self._store(solution, conditions, bodies, is_last)
         self._step = replace(self._step, displacement=owned_values(uh))
         return uh
 

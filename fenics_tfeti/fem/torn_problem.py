@@ -53,6 +53,7 @@ class ProblemData:
     compiler: _compat.CompilerOptions
     displacement: Function | None  # of the surfaces where obstacles are evaluated
     rigid: Mapping[int, RigidBody]  # bodies by tag of their cells
+    may_turn: bool  # whether contacts are also searched on the deformed surfaces
 
 
 class TornProblem:
@@ -69,7 +70,13 @@ class TornProblem:
             _check_rigid_tags(space, self.bodies, data.rigid)
             check_mesh(space.mesh, self.bodies, data.contacts)
         self._search = ContactSearch(
-            space, self.bodies, data.measure_weight, timer, data.displacement, data.rigid
+            space,
+            self.bodies,
+            data.measure_weight,
+            timer,
+            data.displacement,
+            data.rigid,
+            data.may_turn,
         )
         self._is_updated = False
         found = self._find(self._search, data)

@@ -293,16 +293,16 @@ class ContactSet:
         for found, new in zip(self.contacts, measured, strict=True):
             found = replace(found, pairing=new.pairing)
             if found.body is not None:
-                found = self._on_body(found, bodies.frame_of(found.body), uh, new.distance)
+                found = self._on_body(found, bodies.frame_of(found.body), uh)
             contacts.append(found)
         return replace(self, contacts=contacts, bodies=bodies), measured
 
-    def _on_body(
-        self, found: FoundContact, frame: BodyFrame, uh: Function, distance: Vector
-    ) -> FoundContact:
+    def _on_body(self, found: FoundContact, frame: BodyFrame, uh: Function) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
         nodes, pairing, motion = self.boundary.nodes, found.pairing, frame.motion
-        x = pairing.relative(nodes.coordinates + nodes.values(uh)[: nodes.owned])
+        u = pairing.relative(nodes.values(uh)[: nodes.owned])
+        x = pairing.relative(nodes.coordinates) + u
+        distance = pairing.gap - np.sum(u * pairing.normal, axis=1)
         places = x + _along(pairing.normal, distance) - motion[: nodes.components]
         moved = np.sum(pairing.normal * frame.displacements(motion, places), axis=1)
         pairing = replace(pairing, gap=pairing.gap - moved)

@@ -7,7 +7,7 @@ from scenes import CLAMPED, MASTER, SLAVE, at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, Coulomb, Plane, RigidObstacle, Sphere
+from fenics_tfeti import ContactPair, Coulomb, Exact, Plane, RigidObstacle, Sphere
 from mistakes.catalogue import beams, other_beams, posed, solved, table
 
 
@@ -38,7 +38,7 @@ def radius(scene):
     return ufl.SpatialCoordinate(scene.mesh)[0]
 
 
-def plates(slave, master):
+def plates(slave, master, **more):
     """Return what lays a plate on another, 4 m wide and 0.5 m thick, and pairs two faces."""
 
     def pose(comm):
@@ -49,7 +49,7 @@ def plates(slave, master):
         scene.L = scene.constant(-1.0) * scene.v[1] * ufl.dx
         scene.fix(CLAMPED)
         scene.add_pair(41, 42)
-        scene.problem().solve()
+        scene.problem(**more).solve()
 
     return pose
 
@@ -87,6 +87,10 @@ MISTAKES = table(
     ("slave node at the centre of the sphere", above(Sphere((1.5, 1.0), 0.1))),
     ("obstacle on the wrong side", above(Plane((0.0, 1.0), (0.0, -1.0)))),
     ("surfaces that look the same way", plates((1, 0.5), (2, 1.0))),
+    (
+        "surfaces that look the same way after a solve with exact non-penetration",
+        plates((1, 0.5), (2, 1.0), geometry=Exact()),
+    ),
     ("surfaces that lie back to back", plates((2, 1.0), (1, 0.0))),
     ("tag that is a name", paired("top", MASTER)),
     ("several tags", paired(SLAVE, [MASTER])),

@@ -12,6 +12,7 @@ from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_tags
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
@@ -38,6 +39,35 @@ def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -
                     f"slave and master {tags}: keep one of them"
                 )
             pairs[surfaces] = number
+
+
+def check_opposite(pairings: Sequence[Sequence[ContactPairing]]) -> None:
+    """Check that surfaces have another one or an obstacle opposite them. Collective.
+
+    The conditions are those of the parts of each contact.
+    """
+    mortars = [parts for parts in pairings if any(part.is_mortar for part in parts)]
+    check_covered(
+        [parts[0].surface for parts in mortars],
+        [sum(int(part.covered.sum()) for part in parts) for parts in mortars],
+        [sum(part.gap.size for part in parts) for parts in mortars],
+    )
+    for pairing in (part for parts in pairings for part in parts if part.master_surface is None):
+        near = np.isfinite(pairing.gap)
+        facing = np.sum(pairing.normal * pairing.surface.normal[pairing.on_surface], axis=1) > 0.0
+        counts = np.array([near.sum(), (near & facing).sum()])
+        total, faced = pairing.surface.comm.allreduce(counts).tolist()
+        if total and not faced:
+            raise points_away(pairing.name, total)
+
+
+def points_away(name: str, nodes: int) -> InputError:
+    """Return the error that an obstacle's normal points away from the body at all nodes."""
+    return InputError(
+        f"{name}: the obstacle's normal points away from the body at all {nodes} nodes. It has "
+        "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
+        "Cylinder around the body, hollow=True)"
+    )
 
 
 def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[ContactPairing]) -> None:

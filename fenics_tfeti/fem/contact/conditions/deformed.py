@@ -18,10 +18,10 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_gaps
+from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_surface
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.surface_pairs import check_pairings, check_weight
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.conditions.surface_pairs import check_weight
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
@@ -44,7 +44,8 @@ class DeformedContact:
     pairing: ContactPairing
     normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
     distance: Vector  # (k,) from the master or obstacle along the normal; negative inside [m]
-    penetration: Vector  # depth in the master body or obstacle (k,); 0 outside [m]
+    # depth in the master body or obstacle at the new conditions; 0 outside [m]
+    penetration: Vector
     # (k,): distance along the surface, relative to the facets' size, between the parts of the
     # master that mortar conditions before and the new ones couple; None without
     slip: Vector | None = None
@@ -90,10 +91,6 @@ def deformed_contacts(
         )
         total = replace(new.pairing, gap=gap, stretch=stretch)
         measured.append(replace(new, pairing=total, distance=distance, penetration=penetration))
-    parts: dict[int, list[ContactPairing]] = {}
-    for (contact, _), new in zip(contacts, measured, strict=True):
-        parts.setdefault(id(contact), []).append(new.pairing)
-    check_pairings(list(parts.values()))
     return measured
 
 
@@ -112,22 +109,18 @@ def _deformed(
     if pairing.is_mortar:
         assert isinstance(contact, ContactPair)
         return _deformed_mortar(contact, pairing, user_normal, boundary)
-    has_user_normals = isinstance(contact, ContactPair) and contact.normal is not None
-    if has_user_normals:
-        normal = user_normal
+    if isinstance(contact, RigidObstacle):
+        surface = deformed_surface(pairing.surface, surfaces[0], boundary)
+        found = conditions_at_obstacle(surface, contact.obstacle)
+        parts = vars(found) | {"coverage": np.ones_like(found.gap)}
+        new = replace(pairing, **parts)
+        return DeformedContact(new, *_at_nodes_before(pairing, new), np.maximum(-new.gap, 0.0))
+    if contact.normal is not None:
+        surface = pairing.surface.on(boundary, user_normal)
     else:
-        surfaces[0].check_not_folded(pairing.name)
-        rows = np.searchsorted(surfaces[0].nodes, pairing.surface.nodes)
-        normal = surfaces[0].normal[rows]
-    surface = pairing.surface.on(boundary, normal)
-    if isinstance(contact, ContactPair):
-        if not has_user_normals:
-            surface = surface.with_normals_of(pairing.covered)
-        return _deformed_pairs(pairing, surface, *surfaces)
-    terms, area = conditions_at_obstacle(surface, pairing.covered)
-    normal, distance, _ = deformed_gaps(pairing.surface, contact, surfaces[0], terms)
-    new = replace(pairing, terms=terms, normal=normal, gap=distance, area=area)
-    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0))
+        surface = deformed_surface(pairing.surface, surfaces[0], boundary)
+        surface = surface.with_normals_of(pairing.covered)
+    return _deformed_pairs(pairing, surface, *surfaces)
 
 
 def _deformed_pairs(
@@ -179,17 +172,27 @@ def _deformed_mortar(
         coverage=conditions.coverage,
         shares=conditions.shares,
     )
-    # a node that slid off the master is as far from it as its facets are large
+    normal, distance = _at_nodes_before(pairing, new)
     size = surface.size[pairing.on_surface]
-    distance, slip, normal = size.copy(), np.ones_like(size), pairing.normal.copy()
+    slip = np.ones_like(size)
     _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    distance[old_rows], normal[old_rows] = mean_distance[new_rows], new.normal[new_rows]
     # mean places on the slave, less those on the master
     x = boundary.coordinates[:, : boundary.nodes.components]
     offset = pairing.relative(x)[old_rows] - new.relative(x)[new_rows]
     offset = tangential_part(offset, normal[old_rows])
     slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
-    return DeformedContact(new, normal, distance, np.maximum(-distance, 0.0), slip)
+    return DeformedContact(new, normal, distance, np.maximum(-mean_distance, 0.0), slip)
+
+
+def _at_nodes_before(pairing: ContactPairing, new: ContactPairing) -> tuple[Vector, Vector]:
+    """Return new normals (k, gdim) and gaps (k,) at the nodes of the conditions before.
+
+    A node that slid off the master or obstacle is as far from it as its facets are large.
+    """
+    distance, normal = pairing.surface.size[pairing.on_surface], pairing.normal.copy()
+    _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
+    distance[old_rows], normal[old_rows] = new.gap[new_rows], new.normal[new_rows]
+    return normal, distance
 
 
 def _with_normals(surface: Surface, facets: SurfaceFacets) -> Surface:

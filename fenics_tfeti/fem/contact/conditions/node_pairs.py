@@ -38,6 +38,10 @@ _SEPARATE = (
     "crack, partial=True leaves the shared nodes free)"
 )
 
+# angle between the normals of a slave and the opposite of its master's from which on both look the
+# same way [degrees]
+_SAME_WAY = 120.0
+
 _REMEDY = "mesh the two surfaces alike, tag only where they face each other, or raise the tolerance"
 
 
@@ -58,6 +62,7 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
     distances = [_distance_across(offset, normal) for normal in normals]
     tangential, distance = distances[0], np.min(distances, axis=0)
     near = (distance <= SAME_PLACE * slave.size) & (tangential <= tolerance * slave.size)
+    near &= angles_between(slave.normal, -master.normal[partner]) <= _SAME_WAY
     # by global numbers: the corners of a facet may be other ranks', which have other parts of it
     corners = [master.nodes[master.facets.corners], slave.at_corners(master.nodes[partner])]
     facets = np.sort(np.concatenate(corners), axis=1)
@@ -99,7 +104,7 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
     normal = slave.normal[paired]
     angle = angles_between(normal, -master.normal[partner])
     # a coarse mesh of a curved surface, or a normal that the user gave, may be off by a right angle
-    if bad := slave.first_wrong(angle > 120.0, paired):
+    if bad := slave.first_wrong(angle > _SAME_WAY, paired):
         raise InputError(
             f"{bad.name}: slave and master look the same way at {bad.number} nodes, the first at "
             f"{bad.place}: the outward normals of surfaces that touch point against each other. Is "

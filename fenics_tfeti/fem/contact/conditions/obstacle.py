@@ -6,7 +6,7 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from mpi4py import MPI
 
@@ -38,6 +38,17 @@ from fenics_tfeti.typing import Mask, Vector
 _STEP = 1e-4
 
 
+@dataclass(frozen=True)
+class ObstacleConditions:
+    """The k conditions of a surface at an obstacle, undeformed or deformed, of this rank."""
+
+    terms: Terms
+    normal: Vector  # (k, gdim): unit normals into the obstacle
+    gap: Vector  # (k,): distances from the obstacle, of degree 2 the means around the nodes [m]
+    area: Vector  # (k,) [m^2 or m]
+    covered: Mask  # (f,): facets that are opposite the obstacle
+
+
 def match_obstacle(
     boundary: MeshBoundary,
     name: str,
@@ -48,7 +59,7 @@ def match_obstacle(
     """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
     The surface of an earlier result is used again. With a deformed boundary the obstacle is
-    evaluated on the surface there alone, and conditions are wherever it may be met later.
+    evaluated on the surface there alone.
     """
     tags, tag = contact.facet_tags, contact.slave
     slave = (
@@ -57,35 +68,53 @@ def match_obstacle(
         if earlier
         else tagged_surface(boundary, tags, tag, name, "slave")
     )
-    covered, facets, nodal_gap = slave.whole, None, None
-    if boundary.degree > 1 and deformed is None:
-        facets = slave.oriented_part()
-        normals = unit(facets.from_corners(facets.normal))
-        nodal_gap, _ = gap_and_normal(slave, contact.obstacle, _padded(facets.points), normals)
-        covered = np.isfinite(nodal_gap)[facets.facets.nodes].all(axis=1)
-    terms, area = conditions_at_obstacle(slave, covered)
-    rows = slave.rows_of(terms.slave)
-    if deformed is None:
-        places, facing = slave.coordinates[rows], slave.normal[rows]
-        gap, outward = gap_and_normal(slave, contact.obstacle, places, facing)
-        normal = -outward  # u'n <= gap with n pointing into the obstacle
-        if facets is not None and nodal_gap is not None:
-            # the nodes of a condition may be on facets of several ranks
-            nodes = boundary.nodes
-            at_owners = nodes.sum_at_owners(facets.nodes, nodal_gap, np.maximum)
-            gap = _mean_gap(terms, nodes.values_at(at_owners, terms.nodes))
-    else:
-        whole = slave.on(deformed).gathered()
-        normal, gap, facing = deformed_gaps(slave, contact, whole, terms)
+    surface = slave
+    if deformed is not None:
+        surface = deformed_surface(slave, slave.on(deformed).gathered(), deformed)
+    found = conditions_at_obstacle(surface, contact.obstacle)
     if earlier is None:
         _warn_of_normals(slave, contact.obstacle, deformed or boundary)
-    of_rows, angle = slave.contact[rows], angles_between(facing, normal)
-    gap = slave.without_rounding(gap, of_rows)
+    rows = slave.rows_of(found.terms.slave)
+    of_rows, angle = slave.contact[rows], angles_between(surface.normal[rows], found.normal)
+    gap = slave.without_rounding(found.gap, of_rows)
     (summary,) = pairing_summaries(
-        slave.comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=area
+        slave.comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=found.area
     )
     coverage = np.ones_like(gap)
-    return ContactPairing(terms, normal, gap, area, summary, slave, covered, coverage)
+    return ContactPairing(
+        found.terms, found.normal, gap, found.area, summary, slave, found.covered, coverage
+    )
+
+
+def conditions_at_obstacle(surface: Surface, obstacle: Obstacle) -> ObstacleConditions:
+    """Return the conditions of a surface with its normals, deformed or not. Collective.
+
+    Those of degree 2 are means over the facets that are opposite the obstacle.
+    """
+    places, nodes = surface.coordinates, surface.boundary.nodes
+    if surface.boundary.degree == 1:
+        gap, outward = gap_and_normal(surface, obstacle, places, surface.normal)
+        terms, covered = Terms.of_nodes(surface.nodes), surface.whole
+        return ObstacleConditions(terms, -outward, gap, surface.areas(covered), covered)
+    facets = surface.oriented_part()
+    normals = unit(facets.from_corners(facets.normal))
+    nodal, _ = gap_and_normal(surface, obstacle, _padded(facets.points), normals)
+    covered = np.isfinite(nodal)[facets.facets.nodes].all(axis=1)
+    terms = one_sided_conditions(surface, facets, covered)
+    rows = surface.rows_of(terms.slave)
+    if facets.weight is not None:
+        surface.check_weight(terms.scale, rows)
+    _, outward = gap_and_normal(surface, obstacle, places[rows], surface.normal[rows])
+    # the nodes of a condition may be on facets of several ranks
+    at_owners = nodes.sum_at_owners(facets.nodes, nodal, np.maximum)
+    gap = terms.means(nodes.values_at(at_owners, terms.nodes)[:, None])[:, 0]
+    return ObstacleConditions(terms, -outward, gap, terms.scale, covered)
+
+
+def deformed_surface(slave: Surface, whole: SurfaceFacets, boundary: MeshBoundary) -> Surface:
+    """Return a surface on a deformed boundary, where all ranks' facets are these. Collective."""
+    whole.check_not_folded(slave.names[0])
+    return slave.on(boundary, whole.normal[np.searchsorted(whole.nodes, slave.nodes)])
 
 
 def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary) -> None:
@@ -127,48 +156,6 @@ def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary)
     warn_on_first_rank(slave.comm, *messages)
 
 
-def conditions_at_obstacle(surface: Surface, covered: Mask) -> tuple[Terms, Vector]:
-    """Return the conditions of a surface, deformed or not, and their areas (k,). Collective.
-
-    Those of degree 2 are means over the covered facets (f,).
-    """
-    if surface.boundary.degree == 1:
-        return Terms.of_nodes(surface.nodes), surface.areas(covered)
-    facets = surface.oriented_part()
-    terms = one_sided_conditions(surface, facets, covered)
-    if facets.weight is not None:
-        surface.check_weight(terms.scale, surface.rows_of(terms.slave))
-    return terms, terms.scale
-
-
-def _mean_gap(terms: Terms, gap: Vector) -> Vector:
-    """Return the mean gaps (k,) of conditions; infinite where a node (t,) has no obstacle."""
-    finite = np.isfinite(gap)
-    mean = terms.means(np.where(finite, gap, 0.0)[:, None])[:, 0]
-    is_open = np.zeros(mean.size, dtype=bool)
-    is_open[terms.row[~finite]] = True
-    return np.where(is_open, np.inf, mean)
-
-
-def deformed_gaps(
-    surface: Surface, contact: RigidObstacle, slave: SurfaceFacets, terms: Terms
-) -> tuple[Vector, Vector, Vector]:
-    """Return the conditions at an obstacle in the deformed state. Collective.
-
-    Returned are normals (k, gdim) into the obstacle, distances (k,) from it [m], for degree 2 the
-    means around the nodes, and the normals of the surface, of which the slave has the deformed
-    facets of all ranks.
-    """
-    slave.check_not_folded(surface.names[0])
-    nodes, inverse = np.unique(terms.nodes, return_inverse=True)
-    rows = np.searchsorted(slave.nodes, nodes)
-    places, normals = _padded(slave.points[rows]), slave.normal[rows]
-    nodal, outward = gap_and_normal(surface, contact.obstacle, places, normals)
-    distance = _mean_gap(terms, nodal[inverse])
-    own = np.searchsorted(nodes, terms.slave)
-    return -outward[own], distance, normals[own]
-
-
 def _padded(points: Vector) -> Vector:
     """Return points (k, gdim) as rows of three coordinates."""
     return np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
@@ -201,14 +188,6 @@ def gap_and_normal(
         raise InputError(
             f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
             f"{bad.number} points, the first at {bad.place}. Divide it by its length"
-        )
-    facing = np.sum(outward * normal, axis=1) < 0.0
-    total, faced = comm.allreduce(np.array([(~nothing).sum(), (facing & ~nothing).sum()])).tolist()
-    if total and not faced:
-        raise InputError(
-            f"{name}: the obstacle's normal points away from the body at all {total} nodes. It has "
-            "to point out of the obstacle, towards the body: change its sign (for a Sphere or "
-            "Cylinder around the body, hollow=True)"
         )
     return gap, outward / length[:, None]
 

@@ -83,7 +83,6 @@ def match_pairs(
         matched = _matched(boundary, parts, fixed)
         for part, number in enumerate(numbers):
             found[number].append(matched[part])
-    check_pairings(found)
     return found
 
 
@@ -303,16 +302,6 @@ def check_weight(conditions: Conditions, slave: Surface) -> None:
     """Check that the conditions of a slave have areas. Collective."""
     if slave.boundary.weight is not None:
         slave.check_weight(conditions.area, slave.rows_of(conditions.terms.slave))
-
-
-def check_pairings(pairings: Sequence[Sequence[ContactPairing]]) -> None:
-    """Check that the parts of each pair are covered as in `check_covered`. Collective."""
-    mortars = [parts for parts in pairings if any(part.is_mortar for part in parts)]
-    check_covered(
-        [parts[0].surface for parts in mortars],
-        [sum(int(part.covered.sum()) for part in parts) for parts in mortars],
-        [sum(part.gap.size for part in parts) for parts in mortars],
-    )
 
 
 def check_covered(slaves: Sequence[Surface], covered: Sequence[int], rows: Sequence[int]) -> None:

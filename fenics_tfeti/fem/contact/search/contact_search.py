@@ -17,6 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.checks import (
     check_depth,
     check_different_surfaces,
+    check_opposite,
 )
 from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
@@ -48,7 +49,8 @@ class ContactSearch:
 
     What was found is used again as long as the user's contacts and the nodes of the mesh are the
     same. It also decides, once for each pair, whether slave and master are exchanged. Obstacles are
-    evaluated on the surfaces deformed by a displacement, if one is given.
+    evaluated on the surfaces deformed by a displacement, if one is given. Where surfaces `may_turn`
+    those that are not opposite each other have no conditions yet, otherwise they are an error.
     """
 
     def __init__(
@@ -59,7 +61,9 @@ class ContactSearch:
         timer: Timer,
         displacement: Function | None = None,
         rigid: Mapping[int, RigidBody] | None = None,
+        may_turn: bool = False,
     ) -> None:
+        self._may_turn = may_turn
         self._space, self._bodies, self._timer = space, bodies, timer
         self._rigid_tags = rigid or {}
         self._displacement = displacement
@@ -103,6 +107,8 @@ class ContactSearch:
                 [contact_name(roles.used, number) for number, roles in touching.items()],
                 self._displacement,
             )
+            if not self._may_turn:
+                check_opposite(matched)
             checked = {id(pairing) for _, pairing in known}
             new = [pairing for parts in matched for pairing in parts if id(pairing) not in checked]
             check_depth(self._space, self._bodies, new)
@@ -238,7 +244,12 @@ class ContactSearch:
             return found
         self._roles |= {key: roles.exchanged() for key, roles in poor.items()}
         try:
-            return self.find(contacts, found.prescribed)
+            exchanged = self.find(contacts, found.prescribed)
+            of_poor: dict[str, list[ContactPairing]] = {key: [] for key in poor}
+            for part in exchanged.contacts:
+                of_poor.get(part.contact_key, []).append(part.pairing)
+            check_opposite([*of_poor.values()])
+            return exchanged
         except InputError as error:
             obstacle = str(error)
         self._roles |= {key: roles.kept(obstacle) for key, roles in poor.items()}

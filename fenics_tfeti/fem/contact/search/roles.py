@@ -111,8 +111,12 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 def roles_ratios(
     comm: MPI.Intracomm, pairings: Sequence[ContactPairing], stiffness: Vector
 ) -> list[float | None]:
-    """Return E / h of slaves over that of masters, 0 of rigid ones, None of nodes. Collective."""
+    """Return E / h of slaves over that of masters, 0 of rigid ones. Collective.
+
+    It is None of pairs of nodes and of surfaces that are not opposite each other.
+    """
     sums = np.zeros((len(pairings), 2, 3))
+    rows = comm.allreduce(np.array([pairing.gap.size for pairing in pairings]))
     for row, pairing in enumerate(pairings):
         for column, surface in enumerate(pairing.surfaces):
             of_nodes = (stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size)
@@ -120,7 +124,7 @@ def roles_ratios(
     comm.Allreduce(MPI.IN_PLACE, sums)
     ratios: list[float | None] = [None] * len(pairings)
     for k, pairing in enumerate(pairings):
-        if pairing.is_mortar:
+        if pairing.is_mortar and rows[k]:
             entries, size, nodes = sums[k].T
             # entries / nodes over h^(d - 1); the dimension that divides both cancels
             slave, master = entries / nodes * (size / nodes) ** (1 - pairing.normal.shape[1])
