@@ -12,6 +12,8 @@ import ufl
 
 from fenics_tfeti import Along, ContactPair, InputError, find_contacts
 from fenics_tfeti.fem.contact.conditions import surface_pairs as pairs_module
+from fenics_tfeti.fem.contact.conditions.checks import check_opposite
+from fenics_tfeti.fem.contact.search.contact_search import match_parts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.feti.system import Prescribed
@@ -139,7 +141,7 @@ def test_errors_name_the_first_pair_that_is_wrong():
     pairs[5:5] = [ContactPair(tags, 7, 8, name="wrong")]
     pairs[7:7] = [ContactPair(tag_facets(mesh, ends), 8, 7, name="wrong, too")]
     with pytest.raises(InputError, match="^wrong: no facet of the slave"):
-        match_contacts(boundary, pairs)
+        check_opposite(match_parts(boundary, pairs))
     pairs[5] = ContactPair(tags, 7, 9, name="untagged")
     with pytest.raises(InputError, match="^master of untagged: tag 9 is on no facet"):
         match_contacts(boundary, pairs)
