@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -26,7 +26,7 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
-from fenics_tfeti.fem.contact.solution.apart import check_may_meet
+from fenics_tfeti.fem.contact.solution.apart import wrong_side
 from fenics_tfeti.fem.contact.solution.results import Results
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
@@ -346,26 +346,27 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             with keep_warnings(texts):
                 yield
         except (NotConverged, UnresistedMotion) as error:
-            self._check_may_meet(error)
+            self._check_sides(error)
             if isinstance(error, NotConverged) and error.report is not None:
                 self._look_over(texts, before if is_next else None)
                 error.report = self._report
             raise
-        self._check_may_meet()
+        self._check_sides()
         large = self._look_over(texts, before if is_next else None)
         if not self._has_warned:
             warn_on_first_rank(self.space.mesh.comm, *large)
         self._has_warned = self._has_warned or bool(large)
 
-    def _check_may_meet(self, failure: Exception | None = None) -> None:
+    def _check_sides(self, failure: Exception | None = None) -> None:
         """Check contacts that have not met, in the last state or after a failure in the first."""
         if not self._exact:
             return
-        solved = self._solved if failure is None else None
+        solved, error = self._solved if failure is None else None, None
         conditions = self._torn.undeformed if solved is None else solved.conditions
-        try:
-            check_may_meet(conditions, self.u)
-        except InputError as error:
+        # obstacles of the user may have no value where a failure has left the surfaces
+        with suppress(InputError):
+            error = wrong_side(conditions, self.u)
+        if error is not None:
             raise error from failure
 
     def _look_over(self, texts: list[str], before: Vector | None) -> list[str]:

@@ -37,8 +37,8 @@ def contacts_apart(conditions: ContactSet, uh: Function) -> list[list[FoundConta
     return [parts for parts, count in zip(contacts.values(), counts, strict=True) if not count]
 
 
-def check_may_meet(conditions: ContactSet, uh: Function) -> None:
-    """Raise an InputError if displaced surfaces that are apart look the same way. Collective.
+def wrong_side(conditions: ContactSet, uh: Function) -> InputError | None:
+    """Return the error that displaced surfaces are apart and look the same way. Collective.
 
     At all nodes, that is: no small turn of either surface lets them meet.
     """
@@ -49,12 +49,13 @@ def check_may_meet(conditions: ContactSet, uh: Function) -> None:
         if not nodes or any_rank(comm, along < _SAME_WAY):
             continue
         if parts[0].pairing.master_surface is None:
-            raise points_away(name, nodes)
-        raise InputError(
+            return points_away(name, nodes)
+        return InputError(
             f"{name}: slave and master have not met, and look the same way at all {nodes} slave "
             "nodes: the outward normals of surfaces that touch point against each other. Is one of "
             "the tags on the far side of its body, or on another body?"
         )
+    return None
 
 
 def _opposite(found: FoundContact, conditions: ContactSet, uh: Function) -> int:
