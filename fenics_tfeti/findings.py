@@ -7,11 +7,12 @@ warnings are findings, too (`fenics_tfeti.errors.keep_warnings`).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_tfeti.errors import first_few
+from fenics_tfeti.errors import InputError, first_few
 from fenics_tfeti.fem.contact.contact_set import FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.solution.apart import contacts_apart
@@ -57,10 +58,14 @@ def contact_findings(solved: SolvedContacts, bodies: Bodies, length: str) -> lis
 
 def apart_findings(solved: SolvedContacts) -> list[str]:
     """Name contacts whose deformed surfaces are opposite nothing. Collective."""
+    apart = list[list[FoundContact]]()
+    # obstacles of the user may have no value where a failure has left the surfaces
+    with suppress(InputError):
+        apart = contacts_apart(solved.conditions, solved.displacement)
     return [
         f"{parts[0].pairing.name!r} has not met anything: its surfaces are nowhere opposite each "
         "other"
-        for parts in contacts_apart(solved.conditions, solved.displacement)
+        for parts in apart
     ]
 
 

@@ -367,6 +367,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         with suppress(InputError):
             error = wrong_side(conditions, self.u)
         if error is not None:
+            self._is_solved = False
             raise error from failure
 
     def _look_over(self, texts: list[str], before: Vector | None) -> list[str]:
