@@ -8,6 +8,8 @@ in the metric H of `GramMetric` is l = P(S^-2 (b + G'z - Cw)), P the projection 
 the rigid motions z and the displacements w = C'l that are the minimiser of a convex function whose
 gradient is (Gl - e, w - C'l). Newton's method takes a few solves with G D G' and starts from the
 last z and w. No such l exists where the bounds cannot hold the load.
+
+On rows without bounds H may be M^-1 of a preconditioner M: there l = b + MG'z.
 """
 
 from __future__ import annotations
@@ -120,11 +122,16 @@ def _nearly_dependent(W: sp.csr_matrix, chosen: Numbers) -> list[Numbers]:
 
 @dataclass
 class ExactProjection:
-    """The minimiser of 1/2 l'Hl - b'l, with the motions and displacements of the last one."""
+    """The minimiser of 1/2 l'Hl - b'l, with the motions and displacements of the last one.
+
+    With a preconditioner b has M times the forces on rows without bounds.
+    """
 
     coarse_space: CoarseSpace
     e: Vector  # (coarse,)
     metric: GramMetric
+    # x -> Mx of rows without bounds, x of others; None for x of all rows
+    preconditioner: Callable[[Vector], Vector] | None = None
     # A (m, coarse + k): G' and -C on rows with bounds, for the coarse unknowns of all ranks
     _closing: sp.csr_matrix = field(init=False, repr=False)
     _linear: sp.csr_matrix = field(init=False, repr=False)  # GG' of equality rows, I for w
@@ -142,7 +149,10 @@ class ExactProjection:
         bounded = of_contact @ space.contact.T + space.friction.T
         scaled = sp.diags(1.0 / self.metric.scale)
         self._closing = (scaled @ sp.hstack([bounded, -self.metric.springs])).tocsr()
-        self._linear = sp.block_diag([_whole(space), sp.identity(k)], format="csr")
+        linear = _whole(space)
+        if self.preconditioner is not None:
+            linear = _preconditioned(space, linear, self.preconditioner)
+        self._linear = sp.block_diag([linear, sp.identity(k)], format="csr")
         self.motion = np.zeros(space.size + k)
         owned = self._closing[: constraints.layout.owned]
         squares = np.asarray(owned.multiply(owned).sum(axis=0)).ravel()
@@ -166,6 +176,10 @@ class ExactProjection:
         self.balanced = state.error <= _ROUNDING
         return state.multipliers
 
+    def pull(self) -> Vector:
+        """Return G'z (m,) of the last minimiser. Collective."""
+        return self.coarse_space.prolong(self.motion[: self.coarse_space.size])
+
     def _evaluation(self, b: Vector, radius: Vector) -> Callable[[Vector], _State]:
         """Return (z, w) -> multipliers and gradient."""
         space, metric, n = self.coarse_space, self.metric, self.coarse_space.size
@@ -178,7 +192,10 @@ class ExactProjection:
         largest = float(np.abs(self.e).max(initial=0.0)) or 1.0
 
         def evaluate(motion: Vector) -> _State:
-            forces = b + space.prolong(motion[:n]) - metric.springs @ motion[n:]
+            pulled = space.prolong(motion[:n])
+            if self.preconditioner is not None:
+                pulled = self.preconditioner(pulled)
+            forces = b + pulled - metric.springs @ motion[n:]
             unbounded = forces / metric.scale
             l = feasible.project(unbounded.copy()) / metric.scale
             missing, left = self.e - space.restrict(l), metric.stretch(l) - motion[n:]
@@ -243,6 +260,23 @@ def _least(
             part = at_low / (at_low - at_high)
             t = low + float(np.clip(part, 0.1, 0.9)) * (high - low)
     return t, following
+
+
+def _preconditioned(
+    space: CoarseSpace, equality: sp.csr_matrix, preconditioner: Callable[[Vector], Vector]
+) -> sp.csr_matrix:
+    """Return GMG' of the equality rows, of which GG' is given, whole on every rank. Collective."""
+    rows, chosen = space.constraints.equality, np.flatnonzero(equality.diagonal())
+    columns = np.zeros((space.size, chosen.size))
+    for column, k in zip(columns.T, chosen.tolist(), strict=True):
+        unit, glued = np.zeros(space.size), np.zeros(space.constraints.size)
+        unit[k] = 1.0
+        glued[rows] = space.prolong(unit)[rows]
+        column[:] = space.restrict(preconditioner(glued))
+    where = np.repeat(np.arange(space.size), chosen.size), np.tile(chosen, space.size)
+    whole = sp.csr_matrix((columns.ravel(), where), shape=equality.shape)
+    whole.eliminate_zeros()
+    return 0.5 * (whole + whole.T)
 
 
 def _whole(space: CoarseSpace) -> sp.csr_matrix:

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
+from fenics_tfeti.feti.coarse.exact_projection import ExactProjection
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
@@ -85,6 +86,7 @@ class GradientState:
     curvature: float  # 1 / tau [m/N]
     radius: Vector  # (k,): r
     motion: Vector  # of the last projection
+    project: ExactProjection
 
 
 @dataclass(frozen=True)

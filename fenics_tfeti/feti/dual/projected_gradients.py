@@ -8,7 +8,8 @@ y    l and its momentum, restarted where the cost rises
 No active set is solved for, so none can be a mechanism: bodies that only contact and friction hold
 are balanced in each step. With Coulomb's law the bounds r follow the forces at once. Where bounds
 cannot hold the load, none of them is reduced. The step tau is that of a few Lanczos steps, and is
-shortened where the curvature of a step is larger.
+shortened where the curvature of a step is larger. Rows that glue bodies which are cut have the
+preconditioner of their face in place of the identity, as large as ||PFP||.
 
 After Beck, Teboulle, SIAM J. Imaging Sci. 2 (2009) 183-202, and O'Donoghue, Candes, Found. Comput.
 Math. 15 (2015) 715-732.
@@ -23,6 +24,7 @@ import numpy as np
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.exact_projection import ExactProjection, GramMetric
+from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.dual.iterate import (
     ActiveSetStep,
     GradientState,
@@ -32,12 +34,15 @@ from fenics_tfeti.feti.dual.iterate import (
     Turn,
 )
 from fenics_tfeti.feti.dual.problem import DualProblem
+from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Mask, Vector
 
 # part of the way to the bounds that the forces make. At 1 they cycle with a coefficient of 0.6
 _RELAXED = 0.5
 # curvature relative to 1 / tau that is too large, and the excess with which tau is shortened
 _TOO_LARGE, _EXCESS = 1.001, 1.1
+# products by which the size of the preconditioner of glued rows is found
+_POWER_STEPS = 3
 # steps after which the monitor is told
 _TOLD = 10
 
@@ -54,7 +59,7 @@ def projected_gradients(
     the problem. The iterate has the bounds that it was found with. It is STALLED where the bounds
     cannot hold the load, or the share of the products is spent.
     """
-    method = _Method(problem, turn, bounds)
+    method = _Method(problem, turn, bounds, _projection(problem, start, turn))
     state, status = method.first(start), None
     while status is None:
         state, status = method.step(state)
@@ -73,11 +78,15 @@ class _Method:
     """The steps of the method on one problem."""
 
     def __init__(
-        self, problem: DualProblem, turn: Turn, bounds: Callable[[Vector], Vector] | None
+        self,
+        problem: DualProblem,
+        turn: Turn,
+        bounds: Callable[[Vector], Vector] | None,
+        project: ExactProjection,
     ) -> None:
-        self.problem, self.turn, self.bounds = problem, turn, bounds
-        self.metric = GramMetric.build(problem.constraints)
-        self.project = ExactProjection(problem.coarse_space, problem.e, self.metric)
+        self.problem, self.turn, self.bounds, self.project = problem, turn, bounds, project
+        self.metric, self.precondition = project.metric, project.preconditioner
+        self.glued = problem.constraints.equality
         self.steps, self.told = 0, self._set_of(problem.feasible, problem.radius)
 
     def first(self, start: Iterate) -> GradientState:
@@ -90,7 +99,8 @@ class _Method:
         some = problem.space.norm(start.multipliers) > 0.0
         l = self.project(self.metric(start.multipliers if some else problem.feasible), radius)
         Fl = self._product(l)
-        return GradientState(l, Fl, l, Fl, 1.0, problem.norm, radius, self.project.motion)
+        project = self.project
+        return GradientState(l, Fl, l, Fl, 1.0, problem.norm, radius, project.motion, project)
 
     def step(self, state: GradientState) -> tuple[GradientState, SolveStatus | None]:
         """Take a step, and tell how the method ends with it. Collective."""
@@ -98,10 +108,12 @@ class _Method:
         found = self._projected(state)
         if found is None or interruption.agreed():
             return state, SolveStatus.STALLED
-        l, radius = found
+        l, radius, gradient = found
         Fl = self._product(l)
         way, change = l - state.y, l - state.l
         Hway = self.metric(way)
+        if self.precondition is not None:
+            Hway = np.where(self.glued, self.project.pull() - gradient, Hway)
         size2, curvature, turned, energy2 = problem.space.dots(
             (way, Hway), (way, Fl - state.Fy), (Hway, change), (l, Fl)
         )
@@ -122,7 +134,8 @@ class _Method:
         # no parts of bounds where nothing presses any more
         following[wanted == 0.0] = 0.0
         following = radius if accurate else following
-        state = GradientState(l, Fl, y, Fy, theta, steepest, following, self.project.motion)
+        project = self.project
+        state = GradientState(l, Fl, y, Fy, theta, steepest, following, project.motion, project)
         self.steps += 1
         if accurate or self.steps % _TOLD == 0:
             self._tell(l, radius, residual)
@@ -130,16 +143,21 @@ class _Method:
             return state, SolveStatus.SOLVED
         return state, SolveStatus.STALLED if turn.is_spent else None
 
-    def _projected(self, state: GradientState) -> tuple[Vector, Vector] | None:
-        """Return the next multipliers and bounds with which they exist. Collective."""
-        b = self.metric(state.y) - (state.Fy - self.problem.d) / state.curvature
+    def _projected(self, state: GradientState) -> tuple[Vector, Vector, Vector] | None:
+        """Return the next multipliers, bounds with which they exist, and the gradient. Collective.
+
+        The gradient (m,) is times the step.
+        """
+        gradient = (state.Fy - self.problem.d) / state.curvature
+        b = self.metric(state.y)
+        b = b - (gradient if self.precondition is None else self.precondition(gradient))
         force = np.linalg.norm(self.problem.constraints.friction.at_sites(state.l), axis=1)
         # the last multipliers are feasible with the bounds that were not reduced below their forces
         for radius in (state.radius, np.maximum(state.radius, force)):
             self.project.motion = state.motion
             l = self.project(b, radius)
             if self.project.balanced:
-                return l, radius
+                return l, radius, gradient
         return None
 
     def _product(self, x: Vector) -> Vector:
@@ -173,3 +191,40 @@ class _Method:
         # in metres, as that of a face
         length = residual * float(np.sqrt(self.problem.norm))
         self.turn.monitor(ActiveSetStep(self.turn.products.total, length, active, changed))
+
+
+def _projection(problem: DualProblem, start: Iterate, turn: Turn) -> ExactProjection:
+    """Return the projection of the last turn, or one for the problem. Collective."""
+    if start.gradients is not None:
+        return start.gradients.project
+    metric = GramMetric.build(problem.constraints)
+    return ExactProjection(problem.coarse_space, problem.e, metric, _of_glued_rows(problem, turn))
+
+
+def _of_glued_rows(problem: DualProblem, turn: Turn) -> Callable[[Vector], Vector] | None:
+    """Return x -> Mx on glued rows and x on others, M the preconditioner of their face. Collective.
+
+    M is as large as makes the largest eigenvalue of MPFP there about ||PFP||. None if there are no
+    such rows, or is no preconditioner.
+    """
+    layout, glued = problem.constraints.layout, problem.constraints.equality
+    if problem.preconditioner is None or not any_rank(layout.comm, glued):
+        return None
+    on_face = problem.preconditioner.on_face(glued)
+
+    def apply(x: Vector) -> Vector:
+        turn.products.preconditioner += 1
+        return np.where(glued, layout.sum(on_face(np.where(glued, x, 0.0))), 0.0)
+
+    x, largest = apply(seeded_vector(layout.numbers)), 0.0
+    for _ in range(_POWER_STEPS):
+        size = problem.space.norm(x)
+        if not size:
+            return None
+        x = apply(problem.projector.P(layout.sum(problem.F(problem.projector.P(x / size)))))
+        turn.products.cg += 1
+        largest = problem.space.norm(x)
+    if not largest:
+        return None
+    scale = problem.norm / largest
+    return lambda x: np.where(glued, scale * apply(x), x)

@@ -46,8 +46,8 @@ def random_metric(constraints, rng):
     return GramMetric(scale, sp.csr_matrix(C), constraints)
 
 
-def by_cones(projection, b, radius):
-    """Return the minimiser by an interior point method."""
+def by_cones(projection, b, radius, H=None):
+    """Return the minimiser by an interior point method, by default in the metric of its rows."""
     space, metric = projection.coarse_space, projection.metric
     constraints, m = space.constraints, b.size
     friction, eye = constraints.friction, np.identity(m)
@@ -66,7 +66,7 @@ def by_cones(projection, b, radius):
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-11
-    H = np.diag(metric.scale**2) + C @ C.T
+    H = np.diag(metric.scale**2) + C @ C.T if H is None else H
     size = np.linalg.norm(b)
     problem = clarabel.DefaultSolver(
         sp.csc_matrix(np.triu(H)),
@@ -101,6 +101,27 @@ def test_minimiser_on_random_sets(solver, grouped):
         np.testing.assert_allclose(l, exact, atol=3e-6 * np.abs(exact).max())
         # again from its own motions
         np.testing.assert_allclose(projection(b, radius), l, atol=1e-8 * np.abs(l).max())
+
+
+@pytest.mark.parametrize("name", ["glued and coupled", "several subdomains"])
+def test_preconditioner_of_rows_without_bounds(name):
+    """With M, the inverse of H there."""
+    rng, solver = np.random.default_rng(7), TornSolver(SYSTEMS[name]())
+    constraints, data = solver.setup.constraints, solver.data
+    rows, whole = np.flatnonzero(constraints.equality), np.identity(constraints.size)
+    part = rng.standard_normal((rows.size, rows.size)) / rows.size
+    whole[np.ix_(rows, rows)] = np.identity(rows.size) / 2.0 + part @ part.T
+    metric = GramMetric.build(constraints)
+    projection = ExactProjection(
+        solver.setup.projector.coarse_space, data.e, metric, lambda x: whole @ x
+    )
+    H = np.diag(metric.scale**2) + (metric.springs @ metric.springs.T).toarray()
+    H[np.ix_(rows, rows)] = np.linalg.inv(whole[np.ix_(rows, rows)])
+    radius = 1.5 * np.linalg.norm(constraints.friction.at_sites(data.feasible), axis=1)
+    b = np.abs(data.feasible).max() * rng.standard_normal(constraints.size)
+    l = projection(whole @ b, radius)
+    exact = by_cones(projection, b, radius, H)
+    np.testing.assert_allclose(l, exact, atol=3e-6 * np.abs(exact).max())
 
 
 def test_bounds_that_cannot_hold_the_load():
