@@ -239,7 +239,7 @@ def cells_of(problem: ContactProblem) -> MeshErrorProblem:
     """Return the problems of all cells of a solution."""
     solved, is_exact = problem._solved, problem.geometry is not None
     assert solved is not None
-    return MeshErrorProblem(problem._torn, solved, problem._torn_displacements, is_exact)
+    return MeshErrorProblem(problem._torn, solved, problem._solution.torn_displacements, is_exact)
 
 
 def distance(cells: MeshErrorProblem, way: int) -> float:
