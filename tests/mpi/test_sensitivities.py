@@ -22,7 +22,7 @@ from fenics_tfeti import Coulomb, RigidBody, Tresca
 COMM = MPI.COMM_WORLD
 KINDS = {
     "mortar": partial(blocks, n=4, m=5),
-    "Coulomb": partial(blocks, n=4, m=4, friction=Coulomb(0.3)),
+    "Coulomb": partial(blocks, n=4, m=5, friction=Coulomb(0.2)),
     "3D, Tresca": partial(blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3)),
     "tied": tied_stack,
     "body": partial(

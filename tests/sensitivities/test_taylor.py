@@ -32,7 +32,7 @@ KINDS = {
     "Tresca": partial(blocks, friction=Tresca(1.5e-3)),
     "Tresca, mortar": partial(blocks, n=4, m=5, friction=Tresca(1.5e-3)),
     "Coulomb": partial(blocks, friction=Coulomb(0.3)),
-    "Coulomb, mortar": partial(blocks, n=4, m=5, friction=Coulomb(0.3)),
+    "Coulomb, mortar": partial(blocks, n=4, m=5, friction=Coulomb(0.2)),
     "3D, mortar": partial(blocks, "hexahedron", 2, 3),
     "3D, Tresca": partial(blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3)),
     "3D, Coulomb": partial(blocks, "tetrahedron", 2, 3, friction=Coulomb(0.3)),
