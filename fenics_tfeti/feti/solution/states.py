@@ -25,8 +25,7 @@ class ContactData:
     bound: SlipBound  # the law of friction
     own_bound: SlipBound  # its parts at the contact rows that this rank gave
     radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
-    motion: Vector | None = None  # (coarse,) rigid motions a that were taken out of c
-    removed: Vector | float = 0.0  # (m,) B R a of those of them that supports prescribe
+    removed: Vector | float = 0.0  # (m,) B R a of prescribed motions that were taken out of c
 
 
 @dataclass(frozen=True)
