@@ -151,7 +151,16 @@ CONTINUING = [
     "convergence",
     "errors",
 ]
-ALONE = ["cad_mesh", "impact", "many_bodies", "mesh_error", "nonlinear", "rigid_bodies", "rubber"]
+ALONE = [
+    "cad_mesh",
+    "impact",
+    "many_bodies",
+    "mesh_error",
+    "nonlinear",
+    "rigid_bodies",
+    "rubber",
+    "sensitivities",
+]
 
 
 RECIPES = ["fluid_pressure", "plasticity", "temperature", "wear"]
