@@ -192,12 +192,16 @@ class SolvedState:
 
     def sites_of(self, own: Numbers, name: str | int) -> Numbers:
         """Return the sites of friction of a contact's rows."""
+        of_contact = (
+            found.friction
+            for found in self.conditions.contacts
+            if name in (found.number, found.pairing.name)
+        )
+        if any(friction is None for friction in of_contact):
+            raise InputError(f"contact {name!r} has no friction")
         site = np.full(self.zeros().normal.size, -1)
         site[self.rows] = np.arange(self.rows.size)
-        sites = site[own]
-        if (sites < 0).any():
-            raise InputError(f"contact {name!r} has no friction")
-        return sites
+        return site[own]
 
     def zeros(self) -> RowValues:
         """Return zeros at all conditions."""
@@ -246,7 +250,8 @@ class SolvedState:
         """Return N'a + T'b and those of ties (n,) at nodes that this rank owns. Collective."""
         nodes = self.torn.nodes
         parts = [(system.contacts, forces.normal), (system.tied, forces.tied)]
-        if system.friction.size:
+        # the sums below are collective, also for ranks without sites
+        if any_rank(nodes.comm, [system.friction.size > 0]):
             tangential = system.friction.tangential_rows(system.contacts)
             parts.append((tangential, forces.tangential.ravel()))
         total = np.zeros((nodes.owned, nodes.components))
