@@ -1,4 +1,4 @@
-"""What a user should look at after a solve: the list *to check* of the report.
+"""Findings after a solve that a user should look at: the list *to check* of the report.
 
 A finding is a sentence with the names of contacts or bodies, the same on all ranks. The texts of
 warnings are findings, too (`fenics_tfeti.errors.keep_warnings`).

@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.optimize import nnls
 
 from dolfinx.fem import Constant, Function
@@ -29,7 +28,7 @@ from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
-from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import (
     Contact,
     ContactPair,
@@ -53,6 +52,7 @@ from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem, LinearSolution, RowValues
 from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import Friction, TornSystem
+from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import (
     any_rank,
     concatenate_ranks,
@@ -91,9 +91,8 @@ class SolvedState:
         """Coulomb's coefficient at sites that slip, (sites,); 0 elsewhere."""
         return np.where(self.slipping, np.asarray(self.linear.system.friction.coefficient), 0.0)
 
-    @property
     def has_coulomb(self) -> bool:
-        """Whether any rank has a site that slips with Coulomb's law."""
+        """Tell whether any rank has a site that slips with Coulomb's law. Collective."""
         return any_rank(self.torn.nodes.comm, self.coefficient > 0.0)
 
     @property
@@ -109,9 +108,8 @@ class SolvedState:
         along = np.divide(force, size, out=np.zeros_like(force), where=size > 0.0)
         return np.where(self.slipping[:, None], along, 0.0)
 
-    @property
     def size_of_mesh(self) -> float:
-        """The longest edge of the box around the mesh [m]. Collective."""
+        """Return the longest edge of the box around the mesh [m]. Collective."""
         x, comm = self.torn.nodes.coordinates, self.torn.nodes.comm
         return max(
             largest_of_ranks(comm, column) + largest_of_ranks(comm, -column) for column in x.T
@@ -123,15 +121,6 @@ class SolvedState:
             if found.roles.given is contact and isinstance(found.contact, ContactPair):
                 return replace(found.contact, roles="given")
         return contact
-
-    def number_of(self, name: str | int) -> int:
-        """Return the number of a contact, by name or number."""
-        self.rows_of(name)
-        return next(
-            found.number
-            for found in self.conditions.contacts
-            if name in (found.number, found.pairing.name)
-        )
 
     def prescribed_changes(
         self, data: Mapping[Any, Any]
@@ -156,29 +145,39 @@ class SolvedState:
                 in_forms.append((m, dm))
         return prescribed, in_forms
 
-    def rows_of(self, name: str | int) -> Numbers:
-        """Return the rows of a contact, by name or number: those of its parts in order."""
+    def parts_of(self, name: str | int) -> list[tuple[FoundContact, Numbers]]:
+        """Return the parts of a contact, by name or number, in order, with their rows."""
         found = self.conditions.contacts
         parts = [
-            own
+            (contact, own)
             for contact, own in zip(found, self.conditions.positions, strict=True)
             if name in (contact.number, contact.pairing.name)
         ]
         if not parts:
             names = sorted({contact.pairing.name for contact in found})
             raise InputError(f"there is no contact {name!r}; there are {names}")
-        return np.concatenate(parts)
+        return parts
+
+    def rows_of(self, name: str | int) -> Numbers:
+        """Return the rows of a contact."""
+        return np.concatenate([own for _, own in self.parts_of(name)])
 
     def sides(self, name: str | int) -> Vector:
         """Return 1 for each row of a contact; -1 where slave and master were exchanged."""
-        sides = [
-            np.full(own.size, 1.0 if contact.roles.used is contact.roles.given else -1.0)
-            for contact, own in zip(
-                self.conditions.contacts, self.conditions.positions, strict=True
-            )
-            if name in (contact.number, contact.pairing.name)
-        ]
-        return np.concatenate(sides)
+        return np.concatenate(
+            [
+                np.full(own.size, 1.0 if contact.roles.used is contact.roles.given else -1.0)
+                for contact, own in self.parts_of(name)
+            ]
+        )
+
+    def sites_of(self, name: str | int) -> Numbers:
+        """Return the sites of friction of a contact's rows."""
+        if any(contact.friction is None for contact, _ in self.parts_of(name)):
+            raise InputError(f"contact {name!r} has no friction")
+        site = np.full(self.zeros().normal.size, -1)
+        site[self.rows] = np.arange(self.rows.size)
+        return site[self.rows_of(name)]
 
     def weights(
         self, name: str | int, given: Any, shape: tuple[int, ...], label: str
@@ -190,22 +189,28 @@ class SolvedState:
             raise InputError(f"{label} has the shape {weights.shape}; {whole} or {shape} expected")
         return own, np.broadcast_to(weights, whole)
 
-    def sites_of(self, own: Numbers, name: str | int) -> Numbers:
-        """Return the sites of friction of a contact's rows."""
-        of_contact = (
-            found.friction
-            for found in self.conditions.contacts
-            if name in (found.number, found.pairing.name)
-        )
-        if any(friction is None for friction in of_contact):
-            raise InputError(f"contact {name!r} has no friction")
-        site = np.full(self.zeros().normal.size, -1)
-        site[self.rows] = np.arange(self.rows.size)
-        return site[own]
-
     def zeros(self) -> RowValues:
         """Return zeros at all conditions."""
         return RowValues.zeros(self.linear.system)
+
+    def kinks(self) -> dict[str, tuple[int, int]]:
+        """Return numbers of nodes that touch without a force, and of sites at the edge of slip.
+
+        By contact, without those that have none. Collective.
+        """
+        touching, at_edge = self.linear.kinks()
+        at_row = np.zeros(touching.size, dtype=bool)
+        at_row[self.rows] = at_edge
+        found, names = self.conditions, self.conditions.names
+        counts = np.zeros((len(names), 2), dtype=np.int64)
+        for contact, own in zip(found.contacts, found.positions, strict=True):
+            counts[contact.number] += [np.count_nonzero(x[own]) for x in (touching, at_row)]
+        counts = self.torn.nodes.comm.allreduce(counts)
+        return {
+            name: (int(nodes), int(sites))
+            for name, (nodes, sites) in zip(names, counts, strict=True)
+            if nodes or sites
+        }
 
     def torn_loads(self, values: Vector) -> list[Vector]:
         """Return nodal forces (n,) at one copy of each node, and on rigid bodies. Collective."""
@@ -305,11 +310,12 @@ class Functional:
 
 
 class _Derivatives:
-    """What adjoint and tangent have in common."""
+    """Linear solves on the last face, and how many there were."""
 
     def __init__(self, state: SolvedState, rtol: float) -> None:
         self._state, self._rtol = state, rtol
         self.products, self.solves, self.residual = 0, 0, 0.0
+        self.kinks = state.kinks()
 
     def _solve(self, data: LinearData) -> LinearSolution:
         solution = self._state.linear.solve(data, self._rtol)
@@ -335,28 +341,6 @@ class _Derivatives:
         )
         self.residual = max(self.residual, residual)
         return y[own]
-
-    @property
-    def kinks(self) -> dict[str, tuple[int, int]]:
-        """Numbers of nodes that touch without a force and of sites at the edge of slip, by contact.
-
-        There the solution has derivatives of one side only. These treat the nodes as open, and the
-        sites as they are in the solution. Contacts without any are left out. Collective.
-        """
-        state = self._state
-        touching, at_edge = state.linear.kinks()
-        at_row = np.zeros(touching.size, dtype=bool)
-        at_row[state.rows] = at_edge
-        names = state.conditions.names
-        counts = np.zeros((len(names), 2), dtype=np.int64)
-        for found, own in zip(state.conditions.contacts, state.conditions.positions, strict=True):
-            counts[found.number] += [np.count_nonzero(x[own]) for x in (touching, at_row)]
-        counts = state.torn.nodes.comm.allreduce(counts)
-        return {
-            name: (int(nodes), int(sites))
-            for name, (nodes, sites) in zip(names, counts, strict=True)
-            if nodes or sites
-        }
 
 
 class Adjoint(_Derivatives):
@@ -399,7 +383,7 @@ class Adjoint(_Derivatives):
         across = by_forces.tangential - along[:, None] * direction
         jumps = RowValues(normal, across, state.zeros().tied)
         solution = self._solve(LinearData(loads, jumps, state.zeros()))
-        if not state.has_coulomb:
+        if not state.has_coulomb():
             return solution
 
         def with_normal(loads: list[Vector], jumps: RowValues, y: Vector) -> LinearSolution:
@@ -450,7 +434,7 @@ class Adjoint(_Derivatives):
         dofs, entries = prescribed_entries(space, bcs, state.conditions.prescribed, m)
         is_support = any_rank(space.mesh.comm, [dofs.size > 0])
         check_dependence(m, is_support or state.forms.depend_on(m))
-        reaction = self.reaction if is_support else np.zeros(0)
+        reaction = self.by_supports() if is_support else np.zeros(0)
         values = np.zeros(m.value.size if isinstance(m, Constant) else m.x.array.size)
         own = dofs < reaction.size
         np.add.at(values, entries[own], reaction[dofs[own]])
@@ -462,18 +446,17 @@ class Adjoint(_Derivatives):
         total = _compat.summed_at_owners(values, m.function_space)
         return total + by_function(work, m) if stands else total
 
-    @property
-    def reaction(self) -> Vector:
-        """The derivatives (n,) of J by prescribed displacements; rounding at free ones. Collective.
+    def by_supports(self) -> Vector:
+        """Return the derivatives (n,) of J by all prescribed displacements. Collective.
 
-        They are at the degrees of freedom that this rank owns.
+        They are at the degrees of freedom that this rank owns, and rounding at free ones.
         """
         state = self._state
-        reaction = self._functional.u - state.forms.internal_forces(self.z)
-        return reaction - state.nodal_forces(state.linear.system, self._solution.forces)
+        left = self._functional.u - state.forms.internal_forces(self.z)
+        return left - state.nodal_forces(state.linear.system, self._solution.forces)
 
     def by_gap(self, name: str | int) -> Vector:
-        """Return the derivatives (k,) of J by the gaps at the nodes of ``results[name]``.
+        """Return the derivatives (k,) of J by gaps at the nodes of ``results[name]``. Collective.
 
         With rigid bodies and obstacles too the gap is that along the normal, positive where open.
         """
@@ -481,30 +464,30 @@ class Adjoint(_Derivatives):
         return self._solution.forces.normal[self._state.rows_of(name)]
 
     def by_slip_bound(self, name: str | int) -> Vector:
-        """Return the derivatives (k,) of J by the slip bound at the nodes of ``results[name]``.
+        """Return the derivatives (k,) of J by slip bounds at the nodes of ``results[name]``.
 
-        The bound is that of `Tresca` [Pa]. At nodes that stick it is zero.
+        Collective. The bound is that of `Tresca` [Pa]. At nodes that stick it is zero.
         """
         self._check_current()
         own = self._state.rows_of(name)
         areas = np.concatenate([np.zeros(0), *(p.area for p in self._state.conditions.pairings)])
-        return self._by_bound(own, name) * areas[own]
+        return self._by_bound(name) * areas[own]
 
     def by_coefficient(self, name: str | int) -> Vector:
-        """Return the derivatives (k,) of J by Coulomb's coefficient at the same nodes."""
+        """Return the derivatives (k,) of J by Coulomb's coefficient there. Collective."""
         self._check_current()
         own = self._state.rows_of(name)
-        return self._by_bound(own, name) * self._state.solution.normal_force[own]
+        return self._by_bound(name) * self._state.solution.normal_force[own]
 
-    def _by_bound(self, own: Numbers, name: str | int) -> Vector:
+    def _by_bound(self, name: str | int) -> Vector:
         """Return the derivatives by the friction forces of sites that slip, along themselves."""
         state = self._state
-        sites = state.sites_of(own, name)
+        sites = state.sites_of(name)
         change = self._by_forces.tangential - self._solution.jumps.tangential
         return np.sum(change * state.direction, axis=1)[sites]
 
     def by_load(self, body: str | int) -> Vector:
-        """Return the derivatives (modes,) of J by force and moment on a rigid body.
+        """Return the derivatives (modes,) of J by force and moment on a rigid body. Collective.
 
         In 2D they are two of the force and one of the moment, in 3D three and three.
         """
@@ -540,7 +523,7 @@ class Adjoint(_Derivatives):
         if change is not None:
             ends = [self._with_contact(contact, change(s)) for s in (step, -step)]
             return self._difference(ends, step)
-        gdim, size = self._state.torn.nodes.components, step * self._state.size_of_mesh
+        gdim, size = self._state.torn.nodes.components, step * self._state.size_of_mesh()
         slopes = []
         for unit in np.identity(3)[:gdim]:
             shift = (size * unit, -size * unit)
@@ -574,7 +557,7 @@ class Adjoint(_Derivatives):
             float(by_places(on_forms, domain) @ owned_values(direction))
         )
         largest = largest_of_ranks(domain.comm, np.abs(moves)) or 1.0
-        size, x = step * state.size_of_mesh / largest, domain.geometry.x.copy()
+        size, x = step * state.size_of_mesh() / largest, domain.geometry.x.copy()
         contacts = [state.used(contact) for contact in state.torn.data.contacts]
         ends = []
         try:
@@ -586,8 +569,8 @@ class Adjoint(_Derivatives):
         return of_forms + self._difference(ends, size)
 
     def _obstacle(self, name: str | int) -> RigidObstacle:
-        number = self._state.number_of(name)
-        contact = self._state.torn.data.contacts[number]
+        found, _ = self._state.parts_of(name)[0]
+        contact = self._state.torn.data.contacts[found.number]
         if not isinstance(contact, RigidObstacle) or contact.body is not None:
             raise InputError(f"contact {name!r} is none with a rigid obstacle that is held")
         return contact
@@ -636,11 +619,11 @@ class Adjoint(_Derivatives):
         bound = state.solution.slip_bound + friction.bound - state.linear.system.friction.bound
         turning = state.direction * bound[:, None]
         tangential = np.where(state.slipping[:, None], turning, state.solution.tangential_force)
-        slip = np.where(state.linear.sticking[:, None], origin - u.tangential, 0.0)
-        # where a force turns, b follows the slip
-        turned = np.where(state.slipping[:, None], origin - u.tangential, 0.0)
+        # also where a force turns: b follows the slip there
+        rubs = (state.linear.sticking | state.slipping)[:, None]
+        slip = np.where(rubs, origin - u.tangential, 0.0)
         total = np.where(on, adjoint.normal * (gap - u.normal) - force * z.normal, 0.0).sum()
-        total += np.sum(adjoint.tangential * (slip + turned) - tangential * z.tangential)
+        total += np.sum(adjoint.tangential * slip - tangential * z.tangential)
         total += np.sum(adjoint.tied * (tied.gap / tied.length - u.tied))
         total -= np.sum(state.solution.tied_force * z.tied)
         by_forces = self._functional.by_forces(contacts.normal, friction)
@@ -675,7 +658,7 @@ def _translated(contact: RigidObstacle, shift: Vector) -> RigidObstacle:
 
 @dataclass(frozen=True)
 class Change:
-    """What data change by."""
+    """Changes of the data."""
 
     forces: Vector  # (n,): df - dK u at the degrees of freedom that this rank owns [N]
     prescribed: Vector  # (n,): changes of prescribed displacements, zero at free ones [m]
@@ -706,13 +689,13 @@ class Change:
             ):
                 for name, given in named.items():
                     own, values = state.weights(name, given, (), f"{label}[{name!r}]")
-                    bound[state.sites_of(own, name)] += values * factor[own]
+                    bound[state.sites_of(name)] += values * factor[own]
         prescribed, in_forms = state.prescribed_changes(data)
         return Change(state.forms.change(in_forms), prescribed, gap, bound)
 
 
 class Tangent(_Derivatives):
-    """What the solution changes by with its data; `ContactProblem.tangent` makes it.
+    """Change of the solution along a change of the data; `ContactProblem.tangent` makes it.
 
     Attributes
     ----------
@@ -724,7 +707,6 @@ class Tangent(_Derivatives):
 
     def __init__(self, state: SolvedState, change: Change, one_sided: bool, rtol: float) -> None:
         super().__init__(state, rtol)
-        self._bound = change.bound
         data = self._data(change)
         solution = self._with_friction(data, change.bound)
         if one_sided:
@@ -740,8 +722,7 @@ class Tangent(_Derivatives):
     def friction_force(self, name: str | int) -> Vector:
         """Return the changes (k, gdim) of the friction forces on the slave there [N]."""
         state = self._state
-        own = state.rows_of(name)
-        sites = state.sites_of(own, name)
+        sites = state.sites_of(name)
         tangents = state.linear.system.friction.tangents[sites]
         along = np.einsum("kt,kta->ka", self._forces.tangential[sites], tangents)
         return -along * state.sides(name)[:, None]
@@ -767,7 +748,7 @@ class Tangent(_Derivatives):
             return self._solve(replace(data, forces=forces))
 
         solution = with_bounds(data, bound)
-        if not state.has_coulomb:
+        if not state.has_coulomb():
             return solution
         none = LinearData([np.zeros_like(x) for x in data.loads], state.zeros(), state.zeros())
 
@@ -792,6 +773,11 @@ class Tangent(_Derivatives):
         first, total = first_of_rank(comm, touching.size)
         if not total:
             return solution
+        if state.has_coulomb():
+            raise InputError(
+                "one_sided with sites that slip by Coulomb's law: the forces of nodes that touch "
+                "are no minimum then. Leave one_sided out, or change the data a little"
+            )
         none = LinearData([np.zeros_like(x) for x in data.loads], state.zeros(), state.zeros())
 
         def with_forces(data: LinearData, x: Vector, bound: Vector) -> LinearSolution:
@@ -807,7 +793,9 @@ class Tangent(_Derivatives):
             [closing(with_forces(none, unit, no_bound), no_gap) for unit in np.identity(total)]
         )
         q = closing(solution, data.jumps.normal)
-        # with S = U'U the solution has the least |U x - U'^{-1} q|
-        U = cholesky(0.5 * (S + S.T))
-        x = nnls(U, solve_triangular(U, q, trans="T"))[0]
+        # with S = U'U the solution has the least |U x - U'^+ q|; rows may depend on each other
+        values, vectors = np.linalg.eigh(0.5 * (S + S.T))
+        kept = values > ZERO * values.max()
+        roots, V = np.sqrt(values[kept]), vectors[:, kept]
+        x = nnls(roots[:, None] * V.T, V.T @ q / roots)[0]
         return with_forces(data, x, change.bound)

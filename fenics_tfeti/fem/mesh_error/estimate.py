@@ -181,7 +181,7 @@ class MeshError:
 
     @property
     def entry(self) -> MeshErrorEntry:
-        """What the report has of it."""
+        """Its numbers in the report."""
         return MeshErrorEntry(
             self.error, self.total, self.guaranteed, dict(self.bodies), dict(self.contacts)
         )

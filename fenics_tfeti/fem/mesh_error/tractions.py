@@ -31,7 +31,7 @@ _UNBALANCED = 1e-3
 
 @dataclass(frozen=True)
 class FacetKinds:
-    """What acts on the facets of the k cells, and on their nodes."""
+    """Forces on the facets of the k cells, and on their nodes."""
 
     contact: Mask  # (k, f): of contacts and ties
     single: Mask  # (k, f): with one cell alone

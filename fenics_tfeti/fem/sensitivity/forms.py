@@ -13,6 +13,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.typing import Vector
 
 
@@ -39,7 +40,7 @@ class FormsAtSolution:
         """Return dJ/du at the degrees of freedom that this rank owns. Collective."""
         space = self.u.function_space
         if self.J is None:
-            return np.zeros(space.dofmap.index_map.size_local * space.dofmap.index_map_bs)
+            return np.zeros_like(owned_values(self.u))
         test = ufl.TestFunction(space)
         return _compat.assembled(ufl.derivative(self.J, self.u, test), space)
 
@@ -53,10 +54,9 @@ class FormsAtSolution:
         """Return df - dK u for changes of Functions and Constants, (n,) owned. Collective."""
         space = self.u.function_space
         v = ufl.TestFunction(space)
-        parts = [_along(self._residual(v), m, dm, space.mesh) for m, dm in changes]
-        total = np.zeros(space.dofmap.index_map.size_local * space.dofmap.index_map_bs)
-        for part in parts:
-            total += _compat.assembled(part, space)
+        total = np.zeros_like(owned_values(self.u))
+        for m, dm in changes:
+            total += _compat.assembled(_along(self._residual(v), m, dm, space.mesh), space)
         return total
 
     def _residual(self, v: Any) -> ufl.Form:
