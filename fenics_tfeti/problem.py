@@ -440,7 +440,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
-        self._is_solved = False
+        # derivatives are those of a solution: the memory of the last one is for this solve
+        self._is_solved, self._solution = False, None
         # also at first: values may have changed since the problem was set up
         self._refresh()
         solved = None if coarse is None else self._solved_on(coarse)

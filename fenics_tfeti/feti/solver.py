@@ -378,7 +378,10 @@ class TornSolver:
         balance = partial(self._balance, explain=False)
         outcome = iterate_slip_bounds(context, self._start, balance)
         self._start = replace(outcome.start, is_direct=setup.is_direct)
-        self._last = outcome.candidate
+        # for derivatives, which need neither u_t nor its strained part
+        none, last = np.zeros(0), outcome.candidate
+        recovered = replace(last.recovered, strained=none, torn=none)
+        self._last = replace(last, recovered=recovered)
         report = build_report(self.system, context, outcome, list(self.reused))
         if self._has_own_timer:
             self.timer.restart()
