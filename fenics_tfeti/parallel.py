@@ -66,7 +66,9 @@ def meet(comm: MPI.Comm, call: str, patience: float | None = None) -> None:
 
     A function that all ranks have to call waits for ever where some do not. After `patience`
     seconds, by default those of the environment variable FENICS_TFETI_PATIENCE or 30, the ranks
-    that wait say so on standard error; after ten times as long they raise `InputError`.
+    that wait say so on standard error; after ten times as long they raise `InputError`. Their
+    messages to the others then stay in the communicator, which is of no use any more and must not
+    be freed.
     """
     if comm.size == 1:
         return
