@@ -812,18 +812,21 @@ def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
 
     Those in masters are known in the plane, with displacements of degree 1. Mortar conditions are
     on means: where surfaces of straight facets are bent, nodes are as deep as the facets deviate.
+    Nodes that supports hold have none there.
     """
     depths = [np.zeros(1)]
     for number, face in enumerate(problem.faces()):
-        slave, ground = deformed[_face_nodes(problem, *face)], number - len(problem.joints)
+        nodes = _face_nodes(problem, *face)
+        nodes = nodes[~_held(problem, number, face, nodes)]
+        slave, ground = deformed[nodes], number - len(problem.joints)
         if problem.degree > 1:
             continue
         if ground >= 0:
             depths.append(-_gap_and_normal(problem, problem.grounds[ground], slave)[0])
         elif problem.gdim == 2:
             joint = problem.joints[number]
-            nodes = _face_nodes(problem, joint.master, joint.axis, -joint.side)
-            along, across = deformed[nodes, 1 - joint.axis], deformed[nodes, joint.axis]
+            master = deformed[_face_nodes(problem, joint.master, joint.axis, -joint.side)]
+            along, across = master[:, 1 - joint.axis], master[:, joint.axis]
             if (np.diff(along) <= 0.0).any():
                 continue
             level = np.interp(slave[:, 1 - joint.axis], along, across, np.nan, np.nan)
@@ -831,7 +834,7 @@ def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
             slope = np.abs(np.diff(across) / np.diff(along)).max()
             depth = joint.side * (slave[:, joint.axis] - level) / np.sqrt(1.0 + slope**2)
             if problem.pairing.get(number, {}).get("partners") == "mortar":
-                curves = deformed[nodes], slave
+                curves = master, deformed[_face_nodes(problem, *face)]
                 depth -= max(_deviation(x[:, [1 - joint.axis, joint.axis]]) for x in curves)
             depths.append(depth[np.isfinite(depth)])
     return np.concatenate(depths)
