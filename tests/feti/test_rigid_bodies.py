@@ -135,6 +135,23 @@ def stacked():
     )
 
 
+def nearly_parallel(angle):
+    """Return the guided punch with another one on the same nodes, whose surface is tilted."""
+    system = punch(kernel=guided(), load=load([0.0, 0.0, -0.1], [0.01, -0.02, 0.0]))
+    force, first = load([0.0, 0.0, -0.1], [-0.01, 0.02, 0.0]), RIGID + 4
+    other = Subdomain.rigid(force, FRAME, first + np.arange(4), 2, guided())
+    normal = (np.sin(angle), 0.0, np.cos(angle))
+    rows = rows_below(system.subdomains[:2], first, lambda x: 0.01 * (x[:, 1] - 0.5) ** 2, normal)
+    rows = dataclasses.replace(rows, contact=np.ones(rows.size, dtype=int))
+    return dataclasses.replace(
+        system,
+        subdomains=[*system.subdomains, other],
+        contacts=ContactRows.concatenate([system.contacts, rows]),
+        body_names=["block", "punch", "other"],
+        contact_names=["joint", "tilted"],
+    )
+
+
 def unknown_closing():
     """Return two blocks that a given force pulls together: their rows share a scalar unknown."""
     below, above = cube(2), cube(2, (0, 0, 1), body=1, first=2 * RIGID)
@@ -205,6 +222,23 @@ def test_against_dense_solution(name, method, scaling):
         assert (forces > 0.0).all()
         assert (whole.C @ u <= system.contacts.gap + 1e-10 * size).all()
         assert solution.normal_force[solution.active] == pytest.approx(forces, rel=1e-8)
+
+
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+@pytest.mark.parametrize("angle", [2e-6, 1e-5])
+def test_surfaces_that_are_nearly_parallel(angle, method):
+    """The bodies move by what two rows of a node lack, which moves by little along them."""
+    system = nearly_parallel(angle)
+    solution = TornSolver(system, Options(rtol=1e-9, method=method)).solve()
+    whole, u, forces = solve_dense(system, solution.active)
+    size = np.abs(u).max()
+    assert (forces > 0.0).all()
+    assert (whole.C @ u <= system.contacts.gap + 1e-9 * size).all()
+    expected = u[np.concatenate(whole.places)]
+    assert np.abs(np.concatenate(solution.displacements) - expected).max() <= 1e-8 * size
+    rough = TornSolver(system, Options(rtol=1e-5, method=method)).solve()
+    assert np.abs(np.concatenate(rough.displacements) - expected).max() <= 1e-4 * size
+    assert rough.report.products["total"] <= 100
 
 
 @pytest.mark.ranks(2)

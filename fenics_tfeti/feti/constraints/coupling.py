@@ -24,7 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from fenics_tfeti.feti.costs import COLUMNS
-from fenics_tfeti.feti.tolerances import GIVEN, PARALLEL, ZERO, rounding
+from fenics_tfeti.feti.tolerances import GIVEN, PARALLEL, WEAK, ZERO, rounding
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # pivot of a matrix with a diagonal of 1 below which its row may depend on the rows before, and what
@@ -56,7 +56,7 @@ class Coupling:
     @cached_property
     def groups(self) -> list[Numbers]:
         """Positions of rows that depend linearly on each other, group by group."""
-        return dependent_groups(self.gram)
+        return dependent_groups(self.gram, self.rigid)
 
     @cached_property
     def clusters(self) -> list[list[Numbers]]:
@@ -80,14 +80,13 @@ class Coupling:
 
         They are an orthonormal basis N (k, n), and what it does to motions of the bodies (q, n).
         """
-        null = null_space(_block(self.gram, rows))
+        null = _vanishing(self.gram, self.rigid, rows)
         return null, self.rigid[rows].T @ null
 
     def whole_gram(self, rows: Numbers) -> Vector:
         """Return a Gram matrix (k, k) of some rows with all terms, those at rigid bodies too."""
-        W, rigid = _block(self.gram, rows), self.rigid[rows].toarray()
-        size = np.abs(self.rigid.data).max(initial=0.0)
-        return W + rigid @ rigid.T / size**2 if size > 0.0 else W
+        rigid = _on_bodies(self.rigid, rows)
+        return _block(self.gram, rows) + rigid @ rigid.T
 
     @cached_property
     def block(self) -> Numbers:
@@ -116,7 +115,7 @@ class Coupling:
     def inverse(self, chosen: Mask) -> GramInverse:
         """Return W_RR^+ of the chosen rows (w,): the last one, unless R has changed."""
         if not (self._last and np.array_equal(self._last[0].chosen, chosen)):
-            self._last[:] = [GramInverse.build(self.gram, chosen, self.groups)]
+            self._last[:] = [GramInverse.build(self.gram, chosen, self.groups, self.rigid)]
         return self._last[0]
 
 
@@ -130,10 +129,16 @@ class GramInverse:
     _factor: SuperLU | None = field(repr=False)
 
     @staticmethod
-    def build(W: sp.csr_matrix, chosen: Mask, groups: Sequence[Numbers] = ()) -> GramInverse:
+    def build(
+        W: sp.csr_matrix,
+        chosen: Mask,
+        groups: Sequence[Numbers] = (),
+        rigid: sp.csr_matrix | None = None,
+    ) -> GramInverse:
         """Factor W_RR.
 
-        W is positive semidefinite with a diagonal of 1; the groups are its `dependent_groups`.
+        W is positive semidefinite with a diagonal of 1; the groups are its `dependent_groups` with
+        the same `rigid`.
 
         Examples
         --------
@@ -146,7 +151,7 @@ class GramInverse:
         row, column, data = [np.zeros(0, dtype=int)], [np.zeros(0, dtype=int)], [np.zeros(0)]
         for members in groups:
             rows_of_group = members[chosen[members]]
-            null = null_space(_block(W, rows_of_group))
+            null = _vanishing(W, rigid, rows_of_group)
             if null.shape[1]:
                 # rows without which the others are independent
                 pivots = qr(null.T, mode="r", pivoting=True)[1][: null.shape[1]]
@@ -176,10 +181,11 @@ class GramInverse:
         return x - self.null @ (self.null.T @ x)
 
 
-def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
+def dependent_groups(W: sp.csr_matrix, rigid: sp.csr_matrix | None = None) -> list[Numbers]:
     """Return groups of rows that contain the null vectors of W: each has some, and all have all.
 
-    W is positive semidefinite with a diagonal of 1.
+    W is positive semidefinite with a diagonal of 1; `rigid` (w, q) is what the rows do to motions
+    of rigid bodies, beside which combinations of rows may vanish (`null_space`).
 
     Examples
     --------
@@ -207,13 +213,24 @@ def dependent_groups(W: sp.csr_matrix) -> list[Numbers]:
     rows = np.flatnonzero(reached)
     count, group = connected_components(W[rows][:, rows], directed=False)
     groups = (rows[group == g] for g in range(count))
-    return [members for members in groups if null_space(_block(W, members)).shape[1]]
+    return [members for members in groups if _vanishing(W, rigid, members).shape[1]]
 
 
-def null_space(W: Vector) -> Vector:
-    """Return an orthonormal basis (k, n) of the kernel of a Gram matrix (k, k) of unit rows."""
+def null_space(W: Vector, on_bodies: Vector | None = None) -> Vector:
+    """Return an orthonormal basis (k, n) of the kernel of a Gram matrix (k, k) of unit rows.
+
+    With what the rows do to motions of rigid bodies, (k, q) of size 1, combinations x belong to it
+    that do much more to these than to all else, x'Wx <= WEAK^2 |x'B|^2: those of a node between
+    bodies whose surfaces are nearly parallel. The bodies move by what these rows lack; to close
+    them, W^{-1} would move the node along the surfaces by that over the angle between them.
+    """
     values, vectors = np.linalg.eigh(W)
-    return vectors[:, values <= PARALLEL]
+    if on_bodies is None:
+        return vectors[:, values <= PARALLEL]
+    small = values <= PARALLEL + WEAK**2 * np.sum(on_bodies**2)
+    vectors, moved = vectors[:, small], vectors[:, small].T @ on_bodies
+    values, rotation = np.linalg.eigh(np.diag(values[small]) - WEAK**2 * moved @ moved.T)
+    return np.asarray(vectors @ rotation[:, values <= PARALLEL])
 
 
 def rank(A: Vector) -> int:
@@ -221,6 +238,17 @@ def rank(A: Vector) -> int:
     return int(
         np.count_nonzero(np.linalg.svd(A, compute_uv=False) > ZERO * np.abs(A).max(initial=0.0))
     )
+
+
+def _vanishing(W: sp.csr_matrix, rigid: sp.csr_matrix | None, rows: Numbers) -> Vector:
+    """Return `null_space` of some rows."""
+    return null_space(_block(W, rows), None if rigid is None else _on_bodies(rigid, rows))
+
+
+def _on_bodies(rigid: sp.csr_matrix, rows: Numbers) -> Vector:
+    """Return what some rows do to motions of rigid bodies, relative to the largest of all."""
+    size = np.abs(rigid.data).max(initial=0.0)
+    return rigid[rows].toarray() / (size or 1.0)
 
 
 def _block(W: sp.csr_matrix, members: Numbers) -> Vector:

@@ -56,7 +56,8 @@ from fenics_tfeti.typing import Mask, Vector
 # the order in which the methods take turns; bounds that follow the forces come first
 _TURNS = [Method.ACTIVE_SET, Method.NEWTON, Method.SMALBE]
 _FOLLOWING_TURNS = [Method.GRADIENTS, *_TURNS]
-# products of a turn after the first one, in the first round; doubled in each round
+# products of a turn after the first one, in the first round, doubled in each round; at least as
+# many go on where rounding has ended conjugate gradients
 _SHARE = 2000
 # bodies that the reason of an end without convergence names
 _BODIES = 2
@@ -139,8 +140,8 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
         best.update(iterate, certificate)
         if iterate.status is SolveStatus.AT_ROUNDING:
             # not accurate enough: SMALBE-M goes on from the best state, with as many products
-            products = context.monitor.history.products
-            best.rounded, loop = certificate.worst, loop.limited_to(2 * products.total)
+            spent = context.monitor.history.products.total
+            best.rounded, loop = certificate.worst, loop.limited_to(spent + max(spent, _SHARE))
             iterate = best.start(loop)
             continue
         if iterate.status is SolveStatus.OUT_OF_PRODUCTS and best.rounded is not None:

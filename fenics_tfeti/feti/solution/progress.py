@@ -37,6 +37,7 @@ class Progress:
 
     scale: EnergyScale  # rounding is relative to it
     rounding: float  # smallest tolerance that the rounding of the jumps allows [sqrt(J)]
+    measured: float = 0.0  # largest ratio so far of a tolerance and the bound reached with it
     bound: float = np.inf  # smallest bound of the error so far
     worst: float = np.inf  # smallest so far of the certificate's largest number
     tolerance: float = np.inf  # of the pass in which bound or worst last halved [sqrt(J)]
@@ -53,7 +54,12 @@ class Progress:
     def judge(self, method: Method, certificate: Certificate, tolerance: float) -> Stagnation:
         """Compare the certificate of a pass with the smallest numbers so far."""
         self._update(certificate, tolerance)
-        self.rounding = min(self.rounding, self.scale.rounding_at(certificate.energy_norm))
+        # without a preconditioner, or with stiff modes capped, residuals are measured too small
+        # where the material is stiff: rounding is then below that of the energy
+        if 0.0 < certificate.bound < np.inf:
+            self.measured = min(max(self.measured, tolerance / certificate.bound), 1.0)
+        rounding = self.scale.rounding_at(certificate.energy_norm)
+        self.rounding = min(self.rounding, (self.measured or 1.0) * rounding)
         failed = self.failures >= _FAILURES and tolerance <= _DECREASE * self.tolerance
         if failed or self.passes >= _PASSES or tolerance <= self.rounding:
             if method is not Method.SMALBE or self.by_active_set:

@@ -51,7 +51,12 @@ def test_active_set_method_is_tried_once_where_smalbe_stagnates():
     assert twice[3] is Stagnation.OF_SMALBE and twice[7] is Stagnation.FINAL
 
 
-def test_rounding_ends_the_passes():
+@pytest.mark.parametrize(
+    ("bound", "expected"),
+    [(1e-3, Stagnation.FINAL), (1e-5, Stagnation.FINAL), (1e-2, Stagnation.NONE)],
+)
+def test_rounding_ends_the_passes(bound, expected):
+    """Rounding of energies of 1e-3 is 1e-4 of a residual that measures a tenth of the energy."""
     scale = SimpleNamespace(energy_norm=1.0, rounding_at=lambda energy_norm: 1e-3)
-    certificate = SimpleNamespace(bound=1.0, worst=1.0, energy_norm=1.0)
-    assert Progress.start(scale).judge(Method.ACTIVE_SET, certificate, 1e-3) is Stagnation.FINAL
+    certificate = SimpleNamespace(bound=bound, worst=bound, energy_norm=1.0)
+    assert Progress.start(scale).judge(Method.ACTIVE_SET, certificate, 1e-3) is expected
