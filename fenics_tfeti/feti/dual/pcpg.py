@@ -40,6 +40,8 @@ _DIVERGED = 1e12
 # rise of r'z after which a smaller r'z is checked by the true residual; ratio of the two r'z up to
 # which they agree
 _RISEN, _SAME = 1e4, 4.0
+# rise of the residual by the first step on a face from which on it is tried without
+_OVERSHOT = 1e3
 # steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
 # p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
@@ -378,21 +380,33 @@ def iterate_on(
 def first_iterate(
     problem: DualProblem, face: Face, start: Vector | PCPGIterate, products: Products
 ) -> PCPGIterate:
-    """Return the iterate nearest to the start with Gl = e and nothing off the face; one product."""
+    """Return the iterate nearest to the start with Gl = e and nothing off the face.
+
+    It takes a product, and a second one where the step from another face is much too long.
+    """
     if not isinstance(start, PCPGIterate):
         l = _nearest_on_face(problem, face, start)
         return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, (), products)
     l = _nearest_on_face(problem, face, start.multipliers)
-    steps = tuple[float, ...]()
-    if not face.is_direct:
-        # from another face, with a preconditioned step by the residual there: no product of its own
-        alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
-        z, rz = _precondition(face, face.projector.P(r), products)
-        l, steps = l + alpha * (z / problem.norm if rz is None else z), (alpha,)
-    if face.projector.free.shape[1]:
-        return _iterate_at(problem, face, l, np.zeros_like(l), -problem.d, steps, products)
-    # gradients of faces without free motions differ by G'a, which the projection removes
-    return _iterate_at(problem, face, l, start.multipliers, start.gradient, steps, products)
+
+    def at(l: Vector, step_lengths: tuple[float, ...]) -> PCPGIterate:
+        known_at, known = start.multipliers, start.gradient
+        if face.projector.free.shape[1]:
+            known_at, known = np.zeros_like(l), -problem.d
+        # gradients of faces without free motions differ by G'a, which the projection removes
+        return _iterate_at(problem, face, l, known_at, known, step_lengths, products)
+
+    if face.is_direct:
+        return at(l, ())
+    # from another face, with a preconditioned step by the residual there: no product of its own
+    alpha, r = start.step_length, -face.projector.on_rows(start.gradient)
+    r = face.projector.P(r)
+    z, rz = _precondition(face, r, products)
+    iterate = at(l + alpha * (z / problem.norm if rz is None else z), (alpha,))
+    # which is much too long where contact rows have joined at which stiff parts end
+    if not alpha or iterate.residual <= _OVERSHOT * problem.space.norm(r):
+        return iterate
+    return min(iterate, at(l, ()), key=lambda i: i.residual)
 
 
 def _iterate_at(

@@ -50,6 +50,7 @@ from fenics_tfeti.feti.solution.scale import (
 from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
 from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -200,6 +201,11 @@ class _Best:
             bodies = ", ".join(first_few(candidate.certificate.worst_bodies, _BODIES, "bodies"))
             where = f", largest in {bodies}" if bodies else ""
             reached = f"its certificate has reached {self.worst:.1e} ({self.name}{where})"
+            if self.name == "equilibrium":
+                setup = loop.context.setup
+                jump = largest_of_ranks(setup.constraints.layout.comm, setup.local.jumps())
+                reached += f"; stiffness matrices, whose diagonals jump by up to {jump:.0e}, "
+                reached += "are accurate to the rounding of their largest entries"
         if self.rounded is not None:
             reached += f"; rounding has ended the conjugate gradients at {self.rounded:.1e}"
         spent = most_spent(loop.context.monitor.history.spent)

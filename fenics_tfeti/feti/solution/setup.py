@@ -106,6 +106,11 @@ class LocalSetup:
             weights.values, unknowns, classes, kernels, stiffness, weights.unit, ratios
         )
 
+    def jumps(self) -> Vector:
+        """Return the largest ratio of diagonal entries of K_i of each class, 1 of rigid bodies."""
+        diagonals = (K.diagonal() for K in self.stiffness)
+        return np.array([d.max() / d.min() if d.all() else 1.0 for d in diagonals])
+
     def on_interface(self, interface: Interface) -> list[Vector]:
         """Return R_i (b, k) on the interface unknowns of each class."""
         return [
