@@ -27,13 +27,12 @@ def solution_at(
     The report has their sums, and reactions that balance them and the internal forces less loads
     (owned, gdim) at a displacement (owned, gdim).
     """
-    conditions, friction, length = rows.conditions, rows.friction, rows.contacts.length
+    conditions, friction = rows.conditions, rows.friction
     nodes, place = conditions.boundary.nodes, rows.place[friction.row]
-    normal = multipliers.normal[rows.place] * length
-    tied = multipliers.tied * rows.tied.length
-    tangential = length[friction.row, None] * rows.tractions(multipliers)
-    sticking = multipliers.sticking[place]
-    slip = np.where(sticking[:, None], 0.0, -np.asarray(friction.slip))
+    normal, tied = rows.normal_forces(multipliers), multipliers.tied
+    tangential = rows.friction_forces(multipliers)
+    sticking = ~multipliers.slipping[place]
+    slip = np.where(sticking[:, None], 0.0, rows.slip)
     x = nodes.coordinates + displacement
     beyond = np.append(rows.contacts.nodes, rows.tied.nodes)
     unknowns = np.setdiff1d(beyond[beyond >= nodes.total], _corners(rows)[0])

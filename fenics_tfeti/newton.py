@@ -11,6 +11,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
+from fenics_tfeti.contact_hessian import ContactHessian
 from fenics_tfeti.errors import (
     InputError,
     NotConverged,
@@ -18,32 +19,26 @@ from fenics_tfeti.errors import (
     first_few,
     format_point,
 )
-from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues
-from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
-from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.gradients import CellGradients
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
-from fenics_tfeti.fem.newton.mixing import AndersonMixing, Iterate
-from fenics_tfeti.fem.newton.rounding import Rounding
-from fenics_tfeti.fem.torn_problem import TornProblem
-from fenics_tfeti.feti import Timer, TornSolution, TornSolver, TornSystem, prepare_tangents
+from fenics_tfeti.fem.displacement import fill_displacement, owned_values
+from fenics_tfeti.fem.newton.equilibrium import Multipliers
+from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
+from fenics_tfeti.feti import TangentKind, Timer, TornSolution, TornSolver, prepare_tangents
 from fenics_tfeti.feti.coarse.free_motions import describe_free_motions
+from fenics_tfeti.feti.solution.face_solve import FaceSolution
 from fenics_tfeti.feti.tangents import has_small_strains
-from fenics_tfeti.feti.tolerances import CERTIFIED
-from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.options import NewtonOptions
-from fenics_tfeti.parallel import any_rank, largest_of_ranks, print_on_first_rank
+from fenics_tfeti.parallel import any_rank, print_on_first_rank
+from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
 
-# residual below which steps are mixed: farther off, mixing has led beams astray
-_MIXED_BELOW = 0.05
-# accuracy of the linearised problem of a step with friction, relative to the error before
-_FORCING = 0.1
+# accuracy of GMRES relative to the residual of Newton's method, and its limits
+_FORCING, _LOOSEST, _TIGHTEST = 10.0, 0.1, 1e-3
+# part of its residual that GMRES may leave
+_FAILED = 0.1
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 # the remedy for steps that fail
@@ -75,8 +70,9 @@ class NewtonStep:
         Pressing conditions.
     products : int
         Applications of F.
-    mixed : bool
-        Whether the step was combined with earlier ones.
+    corrections : int
+        Further solutions on the face of the pressing conditions, for contact forces that turn and
+        move with the surfaces.
     negative : int
         Directions of negative energy of the torn subdomains, which deflation removes.
     seconds : float
@@ -90,92 +86,40 @@ class NewtonStep:
     length: float
     active: int
     products: int
-    mixed: bool
+    corrections: int
     negative: int
     seconds: float
 
     def __str__(self) -> str:
         """Return the step as a line to read."""
-        mixed = ", mixed" if self.mixed else ""
         return (
             f"residual {self.residual:.1e}, penetration {self.penetration:.1e}, separation "
             f"{self.separation:.1e}, friction {self.friction:.1e}, length {self.length:.2g}"
-            f"{mixed}, {self.active} pressing, {self.products} products"
+            f", {self.active} pressing, {self.products} products"
         )
 
 
 @dataclass(frozen=True)
-class NewtonState:
-    """A displacement with the conditions, multipliers and residual there."""
+class _LinearisedStep:
+    """The solution of the linearised problem of a step."""
 
-    # at the degrees of freedom that this rank owns, and of rigid bodies' corners (rank 0) [m]
-    displacement: Vector
-    rows: DeformedRows
-    multipliers: Multipliers
-    equilibrium: Equilibrium
-    internal: Vector  # (owned, gdim): internal forces less loads at the mesh's nodes [N]
+    face: Face
+    change: FaceSolution
+    first: TornSolution  # without the Hessian of contact
+    corrections: int
+    products: int  # of these
 
-    @property
-    def bodies(self) -> RigidBodies:
-        """The rigid bodies where they are."""
-        return self.rows.conditions.bodies
-
-    def solution(self, last: TornSolution) -> TornSolution:
-        """Return the solution of the step that led here with the forces here. Collective."""
-        u = self.displacement[: self.internal.size].reshape(self.internal.shape)
-        return solution_at(self.rows, self.multipliers, self.internal, u, last)
-
-
-@dataclass(frozen=True)
-class LoadStep:
-    """A load step: what does not change in its Newton steps."""
-
-    torn: TornProblem
-    u: Function
-    origin: SlipOrigin
-    gradients: CellGradients
-    shear_over_bulk: float  # mu / kappa of the least compressible material
-    rounding: Rounding
-
-    def state_at(
-        self,
-        displacement: Vector,
-        multipliers: Multipliers | SlaveValues,
-        bodies: RigidBodies,
-        least: float = 0.0,
-        last: DeformedRows | None = None,
-    ) -> NewtonState:
-        """Fill u, and measure surfaces and residual there. Collective.
-
-        Multipliers may be normal forces (k,) [N]. The bodies, and the last rows, are those before
-        the last step. The residual is relative to a least force [N] or more.
-        """
-        size = self.torn.nodes.owned * self.torn.nodes.components
-        fill_owned(self.u, displacement[:size])
-        bodies = bodies.moved(bodies.from_vector(displacement[size:]))
-        self.torn.fill(self.u, bodies, is_small=False)
-        displacement = np.concatenate([owned_values(self.u), displacement[size:]])
-        bodies = self.torn.loaded(bodies)
-        ratio, place = self.gradients.smallest_volume_ratio(self.torn.nodes.values(self.u))
-        if not ratio > 0.0:
-            raise NotConverged(f"the cell at {place} is inverted, with det F = {ratio:.2g}")
-        rows = DeformedRows.of(self._conditions(bodies, last), self.u, self.origin)
-        if not isinstance(multipliers, Multipliers):
-            multipliers = Multipliers.from_forces(rows, multipliers)
-        internal = -self.torn.torn.load()
-        if any_rank(self.torn.nodes.comm, ~np.isfinite(internal)):
-            raise NotConverged("the residual F is NaN or infinite")
-        equilibrium = Equilibrium.of(
-            internal, rows, multipliers, displacement, least, self.rounding
+    def multipliers(self, length: float) -> Multipliers:
+        """Return the forces after a part of the step."""
+        part = length if self.face.held.any() else 1.0
+        change, first = self.change, self.first
+        return self.face.after(
+            part * change.normal_force,
+            part * change.tied_force,
+            part * change.tangential_force,
+            first.active,
+            first.sticking,
         )
-        return NewtonState(displacement, rows, multipliers, equilibrium, internal)
-
-    def _conditions(self, bodies: RigidBodies, last: DeformedRows | None) -> ContactSet:
-        """Return the conditions of the surfaces deformed by u, near the last ones. Collective."""
-        before = None if last is None else last.conditions
-        here = replace(bodies, from_here=True)
-        conditions = self.torn.undeformed.deformed(self.u, here, before)[0]
-        return conditions.with_friction(self.u).with_turned_ties(self.u)
 
 
 class NewtonIteration:
@@ -189,9 +133,6 @@ class NewtonIteration:
         self._load_step, self._options, self._timer = load_step, options, timer
         self.solver = last
         self.steps: list[NewtonStep] = []
-        self._mixing = AndersonMixing(
-            load_step.torn.nodes.comm, options.newton_anderson, options.solver.rtol
-        )
         self._increment = Function(load_step.torn.space)
         self._least = 0.0  # force that residuals are relative to [N]
         # nodes whose contact changed in the last step, and also in the one before
@@ -225,19 +166,20 @@ class NewtonIteration:
 
     def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
-        self.solution = solution = self._solve_linearised(state, monitor)
-        multipliers = Multipliers.of(state.rows, solution)
-        changed = (multipliers.normal > 0.0) != (state.multipliers.normal > 0.0)
+        step = self._solve_linearised(state, monitor)
+        change = step.change
+        bodies, start = state.bodies, state.bodies.motions
+        motions = state.rows.conditions.motions_after(change.displacements)
+        turned = [end - begin for begin, end in zip(start, motions, strict=True)]
+        torn = self._load_step.torn
+        fill_displacement(self._increment, torn.torn.subdomains, change.displacements)
+        increment = np.concatenate([owned_values(self._increment), bodies.as_vector(turned)])
+        new, length = self._shortened(state, increment, step, self._allowed_length(turned))
+        pressing = new.multipliers.normal > 0.0
+        changed = pressing != (state.multipliers.normal > 0.0)
         self._alternating = changed & self._changed if self._changed.size else changed & False
         self._changed = changed
-        bodies, start = state.bodies, state.bodies.motions
-        motions = state.rows.conditions.motions_after(solution.displacements)
-        turned = [end - begin for end, begin in zip(motions, start, strict=True)]
-        increment = np.concatenate([owned_values(self._increment), bodies.as_vector(turned)])
-        step = Iterate(state.displacement, increment, multipliers.flat())
-        length = self._allowed_length(turned)
-        mixed = self._mixed(state, step) if length == 1.0 else None
-        new, length = self._shortened(mixed or step, multipliers, length, state.rows)
+        report = self.solution.report
         self.steps.append(
             NewtonStep(
                 new.equilibrium.residual,
@@ -245,10 +187,10 @@ class NewtonIteration:
                 new.equilibrium.separation,
                 new.equilibrium.friction,
                 length,
-                solution.report.unknowns["active"],
-                solution.report.products["total"],
-                mixed is not None,
-                solution.report.deflation["negative"],
+                int(torn.nodes.comm.allreduce(np.count_nonzero(pressing))),
+                report.products["total"] + step.products,
+                step.corrections,
+                report.deflation["negative"],
                 0.0,
             )
         )
@@ -271,73 +213,104 @@ class NewtonIteration:
         excess = max([size / limit, of_volume, *np.divide(angles, limit)])
         return 1.0 if excess <= 1.0 else float(1.0 / excess)
 
-    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> TornSolution:
-        """Solve the contact problem for the increment, which is filled."""
+    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> _LinearisedStep:
+        """Solve the linearised problem of a step.
+
+        First with exact tangents on the face of the rows that press. Where the face leaves these
+        unstable, with projected ones, for which GMRES makes up; where that does not get anywhere
+        with projected tangents in the whole contact problem.
+        """
+        options, face = self._options, self._load_step.face_of(state)
+        on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
+        if options.tangent != "projected":
+            with suppress(UnstableTangent):
+                if (step := self._solve_on(face, state, options.tangent, monitor)) is not None:
+                    return step
+        if on_face:
+            step = self._solve_on(face, state, "projected", monitor)
+            if step is not None:
+                return step
+        face = face.without(face.held)
+        step = self._solve_on(face, state, "projected", monitor, is_last=True)
+        assert step is not None
+        return step
+
+    def _solve_on(
+        self,
+        face: Face,
+        state: NewtonState,
+        tangent: TangentKind,
+        monitor: Monitor | None,
+        is_last: bool = False,
+    ) -> _LinearisedStep | None:
+        """Solve the linearised problem; None where another one should be tried. Collective."""
         load_step, options = self._load_step, self._options
         if self.solver is not None:
             self.solver.release()
-        system = load_step.torn.system_at(
-            load_step.u, state.rows, state.multipliers, has_small_strains
+        system = load_step.torn.system_at(load_step.u, face, has_small_strains)
+        force, beyond = load_step.out_of_balance(state, face)
+        added = load_step.torn.spread(system.subdomains, force, beyond)
+        system = replace(
+            system,
+            subdomains=[
+                replace(s, load=load, load_size=np.abs(s.load) + np.abs(load))
+                if s.nodes[0] < load_step.torn.nodes.total
+                else replace(s, load=s.load + load)
+                for s, load in zip(system.subdomains, added, strict=True)
+            ],
         )
-        rtol, solution = self._accuracy(state), None
-        with suppress(UnstableTangent):
-            solution = self._solve(prepare_tangents(system, options.tangent), rtol, monitor)
-        if solution is None or (
-            not solution.report.converged and solution.report.deflation["negative"]
-        ):
-            # positive semidefinite
-            solution = self._solve(prepare_tangents(system, "projected"), rtol, monitor)
-        parts = load_step.torn.torn.subdomains
-        fill_displacement(self._increment, parts, solution.displacements)
+        prepared = prepare_tangents(system, tangent)
+        solver = replace(options.solver, rtol=self._accuracy(state), error_if_not_converged=False)
+        self.solver = TornSolver(prepared, solver, self._timer, self.solver)
+        self.solution = solution = self.solver.solve(monitor)
+        if not (is_last or solution.report.converged):
+            return None
+        comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
+        if any_rank(comm, pulling):
+            return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
+        change = FaceSolution(
+            solution.displacements,
+            solution.normal_force,
+            solution.tied_force,
+            solution.tangential_force,
+        )
+        corrections, products = 0, Products()
+        if not is_last:
+            on_face = solution.active
+            hessian = ContactHessian(
+                load_step,
+                state.displacement,
+                face,
+                on_face,
+                system.subdomains,
+                prepared.subdomains,
+            )
+            negligible = 0.1 * options.newton_rtol * state.equilibrium.force
+            rtol = max(min(_LOOSEST, _FORCING * state.equilibrium.residual), _TIGHTEST)
+            change, corrections, left = hessian.corrected(
+                change, (force, beyond), self.solver, rtol, negligible, products
+            )
+            if left > _FAILED:
+                return None
         free = describe_free_motions(system, solution.active, solution.sticking)
-        return replace(solution, report=replace(solution.report, free_motions=free))
+        report = replace(solution.report, free_motions=free)
+        self.solution = replace(solution, report=report)
+        return _LinearisedStep(face, change, solution, corrections, products.total)
 
     def _accuracy(self, state: NewtonState) -> float:
-        """Return the accuracy of the next linearised problem. Collective.
-
-        Newton's method corrects displacements; tangential forces are those of the last linearised
-        problem alone, to which the law of friction is to hold with the accuracy of all steps.
-        """
-        options, friction = self._options, state.rows.friction
-        if not any_rank(self._load_step.torn.nodes.comm, friction.row >= 0):
-            return options.solver.rtol
-        wanted = max(state.equilibrium.error, options.newton_rtol)
-        return min(options.solver.rtol, max(_FORCING * wanted, CERTIFIED))
-
-    def _solve(self, system: TornSystem, rtol: float, monitor: Monitor | None) -> TornSolution:
-        options = replace(self._options.solver, rtol=rtol, error_if_not_converged=False)
-        self.solver = TornSolver(system, options, self._timer, self.solver)
-        return self.solver.solve(monitor)
-
-    def _mixed(self, state: NewtonState, step: Iterate) -> Iterate | None:
-        """Return the step combined with earlier ones near the end, while the same nodes press."""
-        if any_rank(self._load_step.torn.nodes.comm, self._changed):
-            self._mixing.forget()
-        if self._options.newton_anderson == 0 or state.equilibrium.residual >= _MIXED_BELOW:
-            return None
-        mixed = self._mixing.mix(step)
-        return None if mixed is None or self._is_far(state, mixed, step) else mixed
-
-    def _is_far(self, state: NewtonState, mixed: Iterate, step: Iterate) -> bool:
-        """Tell whether a mixed step goes farther than facets are long. Collective.
-
-        Where hardly anything resists sliding, the steps to come are not known that far.
-        """
-        comm, pairings = self._load_step.torn.nodes.comm, state.rows.conditions.pairings
-        sizes = [pairing.surface.size.max(initial=0.0) for pairing in pairings]
-        farther = largest_of_ranks(comm, np.abs(mixed.increment - step.increment))
-        return bool(pairings) and farther > largest_of_ranks(comm, sizes)
+        """Return the accuracy of the next linearised problem. Collective."""
+        return self._options.solver.rtol
 
     def _shortened(
-        self, step: Iterate, multipliers: Multipliers, length: float, last: DeformedRows
+        self, last: NewtonState, increment: Vector, step: _LinearisedStep, length: float
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
         while True:
             try:
-                displacement = step.displacement + length * step.increment
-                new = multipliers.from_flat(step.multipliers)
-                bodies = last.conditions.bodies
-                state = self._load_step.state_at(displacement, new, bodies, self._least, last)
+                displacement = last.displacement + length * increment
+                state = self._load_step.state_at(
+                    displacement, step.multipliers(length), last.bodies, self._least, last.rows
+                )
                 return state, length
             except (InputError, NotConverged) as error:
                 length *= 0.5

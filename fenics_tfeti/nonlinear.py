@@ -21,12 +21,14 @@ from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
+from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
+from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.load_steps import SteppedProblem
-from fenics_tfeti.newton import LoadStep, Monitor, NewtonIteration, NewtonState, NewtonStep
+from fenics_tfeti.newton import Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.report import ContactReport
@@ -233,7 +235,14 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     def _store_state(
         self, state: NewtonState, iteration: NewtonIteration, is_last: bool = True
     ) -> None:
-        solution, conditions = state.solution(iteration.solution), state.rows.conditions
+        solution = solution_at(
+            state.rows,
+            state.multipliers,
+            state.internal,
+            state.nodal_displacement,
+            iteration.solution,
+        )
+        conditions = state.rows.conditions
         self._store(solution, conditions, state.bodies, is_last, newton=list(iteration.steps))
 
     def _update(self) -> None:

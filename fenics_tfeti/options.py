@@ -78,8 +78,6 @@ class NewtonOptions(ContactOptions):
         In materials that are nearly incompressible when the problem is posed, ``|tr((grad du
         F^-1)^2)|`` is at most ``2 mu / kappa``, of the shear and the bulk modulus: stretches are at
         most 0.2 for Poisson's ratio 0.49, 0.063 for 0.499; simple shear is not cut.
-    newton_anderson : int
-        How many earlier steps are mixed with each; 0 for none.
     tangent : {"auto", "exact", "projected"}
         Tangents of subdomains: exact ones, which may be indefinite, or projected on those with all
         rigid motions as kernel, which are positive semidefinite; auto takes exact ones in bodies
@@ -94,7 +92,6 @@ class NewtonOptions(ContactOptions):
     newton_rtol: float = 1e-6
     newton_max_it: int = 30
     newton_step_limit: float = 0.3
-    newton_anderson: int = 5
     tangent: TangentKind = "auto"
 
     def __post_init__(self) -> None:
@@ -102,7 +99,6 @@ class NewtonOptions(ContactOptions):
         check_range(self, "newton_rtol", 0.0, 1.0)
         for name in ("newton_max_it", "newton_step_limit"):
             check_range(self, name, 0, float("inf"))
-        check_range(self, "newton_anderson", -1, float("inf"))
 
 
 _Kind = TypeVar("_Kind", bound=ContactOptions)

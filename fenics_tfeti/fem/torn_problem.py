@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from operator import is_
 from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 import ufl
 from dolfinx.fem import Function, FunctionSpace
@@ -30,9 +30,13 @@ from fenics_tfeti.fem.decomposition.partition import (
     as_subdomains,
     split_into_subdomains,
 )
-from fenics_tfeti.fem.displacement import prescribed_values
-from fenics_tfeti.fem.newton.contact_stiffness import ContactStiffness, with_contact_stiffness
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
+from fenics_tfeti.fem.displacement import (
+    fill_displacement,
+    fill_owned,
+    owned_values,
+    prescribed_values,
+)
+from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.parallel import any_rank
@@ -90,7 +94,6 @@ class TornProblem:
                 else as_subdomains(space.mesh, self.bodies, data.subdomains)
             )
         self.torn = TornMesh(forms, self.bodies, cells, x, timer)
-        self._contact_stiffness: ContactStiffness | None = None
         self._assemble(found, data)
 
     def update(
@@ -112,7 +115,7 @@ class TornProblem:
         found = self._find(search, data)
         if has_moved:
             self.torn.place_nodes(search.boundary.coordinates)
-        self._search, self._contact_stiffness = search, None
+        self._search = search
         self._assemble(found, data, release)
 
     def update_supports(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
@@ -199,48 +202,71 @@ class TornProblem:
         )
 
     def system_at(
-        self,
-        u: Function,
-        rows: DeformedRows,
-        multipliers: Multipliers,
-        has_small_strains: Callable[[Subdomain], bool],
+        self, u: Function, face: Face, has_small_strains: Callable[[Subdomain], bool]
     ) -> TornSystem:
-        """Return the system for an increment of u: tangents and loads there. Collective.
+        """Return the system for an increment of u, without loads on the mesh. Collective.
 
-        The coordinates are the deformed ones, and tangents have the stiffness of contact forces
-        that turn with the surfaces, but in subdomains with small strains.
+        The coordinates are the deformed ones, and stiffness matrices are tangents there.
         """
-        values, prescribed = self.nodes.values(u), rows.conditions.prescribed
-        subdomains = self.torn.assemble()
-        stiffnesses = self._stiffness_of_contact(u, rows, multipliers)
-        for i, (s, K) in enumerate(zip(subdomains, stiffnesses, strict=True)):
+        conditions, values = face.rows.conditions, self.nodes.values(u)
+        prescribed, subdomains = conditions.prescribed, self.torn.assemble()
+        for i, s in enumerate(subdomains):
             x = s.coordinates + values[self.nodes.to_local(s.nodes)]
             deformed = replace(s, coordinates=x)
-            if not has_small_strains(s):
-                subdomains[i] = deformed if K is None else with_contact_stiffness(deformed, K)
-            elif has_small_strains(deformed):
-                # one that was only shifted; its neighbours are where they are deformed
+            # one that was only shifted has small strains still; its neighbours may be deformed
+            if not has_small_strains(s) or has_small_strains(deformed):
                 subdomains[i] = deformed
-        subdomains += rows.conditions.added_subdomains(self.bodies.deformable)
+        subdomains += conditions.added_subdomains(self.bodies.deformable)
         local = self.nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
         return replace(
-            self._system(rows.conditions, rows.friction),
+            self._system(conditions, face.friction),
             subdomains=subdomains,
             prescribed=replace(prescribed, values=increment),
-            contacts=rows.contacts,
-            tied=rows.tied,
+            contacts=face.contacts,
+            tied=face.rows.tied,
         )
 
-    def _stiffness_of_contact(
-        self, u: Function, rows: DeformedRows, multipliers: Multipliers
-    ) -> list[sp.csr_matrix | None]:
-        """Return what contact forces that turn with the surfaces add to tangents. Collective."""
-        if self._contact_stiffness is None:
-            with self._timer.phase("compilation"):
-                contacts = [found.contact for found in rows.conditions.contacts]
-                self._contact_stiffness = ContactStiffness(u, contacts, self.data.compiler)
-        return self._contact_stiffness.matrices(self.torn, rows.turning_force(multipliers))
+    def spread(
+        self, subdomains: Sequence[Subdomain], force: Vector, beyond: Vector
+    ) -> list[Vector]:
+        """Return nodal forces as loads of subdomains, shared at common nodes. Collective.
+
+        The forces (owned, gdim) are at the nodes that this rank owns, those `beyond` (b, gdim) at
+        nodes that are not of the mesh, the same on all ranks.
+        """
+        nodes, loads, known = self.nodes, list[Vector](), set[int]()
+        shares = fill_owned(Function(self.space), (force / self._copies).ravel())
+        values = nodes.values(shares)
+        for s in subdomains:
+            if s.nodes[0] < nodes.total:
+                loads.append(values[nodes.to_local(s.nodes)].ravel())
+                continue
+            # of several subdomains at the nodes of a rigid body the first one
+            is_first = int(s.nodes[0]) not in known
+            known.add(int(s.nodes[0]))
+            loads.append(is_first * beyond[s.nodes - nodes.total].ravel())
+        return loads
+
+    def at_owned_nodes(self, displacements: Sequence[Vector]) -> Vector:
+        """Return displacements of subdomains at the degrees of freedom of this rank. Collective."""
+        subdomains = self.torn.subdomains
+        filled = fill_displacement(Function(self.space), subdomains, displacements)
+        return owned_values(filled)
+
+    def sum_at_nodes(self, subdomains: Sequence[Subdomain], forces: Sequence[Vector]) -> Vector:
+        """Return the sums (owned, gdim) of forces on subdomains at the mesh's nodes. Collective."""
+        nodes = self.nodes
+        at = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
+        values = np.concatenate([np.zeros(0), *forces]).reshape(-1, nodes.components)
+        in_mesh = at < nodes.total
+        return nodes.sum_at_owners(at[in_mesh], values[in_mesh])
+
+    @cached_property
+    def _copies(self) -> Vector:
+        """The number of subdomains (owned, 1) that each node belongs to, at least 1. Collective."""
+        at = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in self.torn.subdomains)])
+        return np.maximum(self.nodes.sum_at_owners(at, np.ones((at.size, 1))), 1.0)
 
 
 def _check_rigid_tags(space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,6 +33,7 @@ from fenics_tfeti.feti.report.report import Report, build_report
 from fenics_tfeti.feti.report.resultants import friction_shares, tangential_forces
 from fenics_tfeti.feti.solution.attempts import next_attempt
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
+from fenics_tfeti.feti.solution.face_solve import FaceSolution, gaps_of_rows, solve_on_face
 from fenics_tfeti.feti.solution.linear import LinearProblem
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import dual_problem
@@ -48,6 +49,7 @@ from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.parallel import any_rank, raise_collectively
+from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Vector
 
 
@@ -65,7 +67,7 @@ class TornSolution:
     normal_force : (contact rows of this rank,) array
         Nodal normal force of each contact row that this rank gave [N].
     active : (contact rows of this rank,) bool array
-        Whether the row is active.
+        Whether the row is active; of a held row whether it is a row of the problem.
     tied_force : (tied rows of this rank,) array
         Force of each tied row that this rank gave, on the slave against the direction of the
         slave's sum [N].
@@ -247,7 +249,11 @@ class TornSolver:
         )
         feasible = self._balance(bound)
         radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
-        size = coarse_space.coarse_load_size(load)
+        size = coarse_space.coarse_load_size(
+            local.unknowns.with_ground(
+                np.concatenate([np.zeros(0), *(s.size_of_load for s in system.subdomains)])
+            )
+        )
         return ContactData(load, c, e, size, feasible, bound, friction.own_bound, radius)
 
     def _first_state(
@@ -333,6 +339,8 @@ class TornSolver:
         if hasattr(self, "setup"):
             del self.setup, self._balance
             self._last = None
+        if hasattr(self, "_solved"):
+            del self._solved
 
     def solve(self, monitor: MonitorFunction | None = None) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
@@ -382,6 +390,7 @@ class TornSolver:
         none, last = np.zeros(0), outcome.candidate
         recovered = replace(last.recovered, strained=none, torn=none)
         self._last = replace(last, recovered=recovered)
+        self._solved = setup, outcome.candidate.face
         report = build_report(self.system, context, outcome, list(self.reused))
         if self._has_own_timer:
             self.timer.restart()
@@ -405,12 +414,69 @@ class TornSolver:
             )
         return solution
 
+    def solve_face(
+        self,
+        loads: Sequence[Vector],
+        gap: Vector,
+        tied_gap: Vector,
+        rtol: float,
+        products: Products,
+    ) -> FaceSolution:
+        """Solve for another load and other gaps on the face of the last solution. Collective.
+
+        The rows of the face, those with a force and sites that stick, hold with equality; other
+        forces, prescribed displacements and slips are zero. It takes the operators that are there.
+
+        Parameters
+        ----------
+        loads : sequence of (n_i,) arrays
+            f_i of this rank's subdomains [N].
+        gap, tied_gap : arrays
+            Distances (contact rows,) and (tied rows,) that the rows of this rank close [m].
+        rtol : float
+            Accuracy, as the part of the first residual's energy norm that is left.
+        products : Products
+            Counts the applications of F.
+
+        Returns
+        -------
+        FaceSolution
+            Displacements and forces.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved, or the solver was released.
+        """
+        if not hasattr(self, "_solved"):
+            raise InputError("there is no face; call solve() first")
+        setup, face = self._solved
+        constraints, unknowns = setup.constraints, setup.local.unknowns
+        load = unknowns.with_ground(np.concatenate([np.zeros(0), *loads]))
+        with self.timer.phase("iterations"), interruption.deferred():
+            multipliers, displacement = solve_on_face(
+                setup,
+                face,
+                load,
+                gaps_of_rows(constraints, gap, tied_gap),
+                rtol=rtol,
+                most=products.total + self.options.max_products,
+                products=products,
+            )
+        interruption.check(self.system.comm)
+        return FaceSolution(
+            unknowns.split(displacement),
+            constraints.normal_forces(multipliers),
+            constraints.tied.forces(multipliers),
+            tangential_forces(constraints, self.data, multipliers),
+        )
+
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
         multipliers = outcome.candidate.multipliers
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
         constraints = self.setup.constraints
-        normal_force, friction = constraints.contacts.forces(multipliers), constraints.friction
+        normal_force, friction = constraints.normal_forces(multipliers), constraints.friction
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.given(friction.pressing(multipliers, constraints.layout))
         bound = friction.given(friction.scale) * self.data.own_bound.at(pressing)
@@ -418,7 +484,7 @@ class TornSolver:
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
             normal_force,
-            normal_force > 0.0,
+            (normal_force > 0.0) | (constraints.held.own_rows >= 0),
             constraints.tied.forces(multipliers),
             tangential_forces(constraints, self.data, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),

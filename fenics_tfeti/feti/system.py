@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike, NDArray
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.typing import Array, Numbers, Vector
+from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 Kernel = Literal["rigid", "translations"]
 
@@ -50,6 +50,9 @@ class Subdomain:
         tangents of finite strains, which may be indefinite: the stress of a torn subdomain resists
         rotations, or drives them. See `prepare_tangents`. An array is for rigid bodies, see
         `Subdomain.rigid`.
+    load_size : (n,) array, optional
+        Size of the forces whose sum the load is, which its rounding is relative to: |f_i| by
+        default, stresses where the load is what they leave out of balance [N].
     """
 
     stiffness: sp.csr_matrix
@@ -59,6 +62,7 @@ class Subdomain:
     body: int
     frame: Vector | None = None
     kernel: Kernel | Vector = "rigid"
+    load_size: Vector | None = None
 
     @staticmethod
     def rigid(
@@ -129,9 +133,21 @@ class Subdomain:
                 K.sum_duplicates()
 
     @property
+    def size_of_load(self) -> Vector:
+        """The size of the forces whose sum the load is [N]."""
+        return np.abs(self.load) if self.load_size is None else self.load_size
+
+    @property
     def size(self) -> int:
         """Number of unknowns."""
         return int(self.load.size)
+
+    def stiffness_times(self, u: Vector) -> Vector:
+        """Return K_i u, whatever the frame of the stiffness [N]."""
+        if self.frame is None:
+            return np.asarray(self.stiffness @ u)
+        turned = (u.reshape(-1, len(self.frame)) @ self.frame).ravel()
+        return ((self.stiffness @ turned).reshape(-1, len(self.frame)) @ self.frame.T).ravel()
 
     @property
     def coordinates_in_frame(self) -> Vector:
@@ -198,6 +214,9 @@ class ContactRows:
     area : (rows,) array, optional
         Area of the slave's surface that belongs to the row, by default D; NaN stands for D. Rows
         that are the same condition share its force by these areas.
+    held : (rows,) bool array, optional
+        Contact rows that hold with equality, whatever the sign of their force: those of a face of
+        the contact problem, in the steps of Newton's method. None by default.
 
     Examples
     --------
@@ -221,9 +240,12 @@ class ContactRows:
     contact: Numbers
     slaves: Numbers | None = None
     area: Vector | None = None
+    held: Mask | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
+        if self.held is None:
+            _set(self, "held", np.zeros(np.shape(self.gap), dtype=bool))
         if self.slaves is None:
             _set(self, "slaves", np.ones(np.shape(self.gap), dtype=np.int64))
         if self.area is None:
@@ -297,6 +319,7 @@ class ContactRows:
             np.concatenate([part.contact for part in parts]),
             np.concatenate([np.asarray(part.slaves) for part in parts]),
             np.concatenate([np.asarray(part.area) for part in parts]),
+            np.concatenate([np.asarray(part.held) for part in parts]),
         )
 
     def chosen(self, rows: Numbers) -> ContactRows:
@@ -312,6 +335,7 @@ class ContactRows:
             self.contact[rows],
             np.asarray(self.slaves)[rows],
             np.asarray(self.area)[rows],
+            np.asarray(self.held)[rows],
         )
 
     def with_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:

@@ -250,12 +250,13 @@ def _without_negative_energies(
 
 
 def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
-    """Tell which bodies prescribed displacements and tied rows hold against rotations. Collective.
+    """Tell which bodies supports, tied and held rows hold against rotations. Collective.
 
     Bodies have their centres (bodies, gdim) and sizes (bodies,).
     """
-    gdim, bodies = system.gdim, sizes.size
-    rows = rows_on_bodies(system, [system.tied], centres, sizes)
+    gdim, bodies, contacts = system.gdim, sizes.size, system.contacts
+    held = contacts.chosen(np.flatnonzero(np.asarray(contacts.held)))
+    rows = rows_on_bodies(system, [system.tied, held], centres, sizes)
     modes = rows.shape[1] // bodies
     _, free = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
     rotations = np.abs(free.toarray()).reshape(bodies, modes, -1)[:, gdim:]

@@ -1,4 +1,4 @@
-"""The residual and its scale, and multipliers as a vector, at a displacement that is given."""
+"""The residual and its scale, and the face of multipliers, at a displacement that is given."""
 
 from dataclasses import replace
 
@@ -16,6 +16,7 @@ from dolfinx import fem
 from fenics_tfeti import Plane, RigidBody
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multipliers
+from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import Friction
 from fenics_tfeti.models import neo_hookean
@@ -43,24 +44,48 @@ def blocks():
     return problem, DeformedRows.of(conditions, u, origin)
 
 
-@pytest.mark.parametrize(("is_sticking", "turning"), [(False, [PAIR, BODY]), (True, [PAIR])])
-def test_forces_that_turn_with_the_surfaces(blocks, is_sticking, turning):
-    """Those of the pair and, where friction does not hold the slave, of the rigid body."""
+def test_forces_of_nodes_that_slip(blocks):
+    """At the bound; in the direction of slip where that is not against the force."""
     rows = blocks[1]
-    given = Multipliers(np.arange(1.0, 10.0), np.ones((9, 2)), np.zeros(0), np.full(9, is_sticking))
-    expected = Multipliers.none(rows)
-    for rows_of in turning:
-        expected.normal[rows_of] = given.normal[rows_of]
-    np.testing.assert_allclose(rows.turning_force(given), rows.force(expected)[0], atol=1e-14)
+    site = OBSTACLE
+    tangents = np.tile([[[1.0, 0.0]]], (3, 1, 1))
+    slip = -np.array([[0.1], [-0.1], [0.1]])
+    friction = Friction(site, tangents, np.zeros(3), slip, np.full(3, 0.5))
+    rows, given = replace(rows, friction=friction), Multipliers.none(rows)
+    given.normal[site] = 4.0
+    given.tangential[site, 0] = [1.0, 1.0, 1.5]
+    slips = np.isin(np.arange(9), site[:2])
+    given = replace(given, slipping=slips, slid=slips)
+    after = rows.with_slipping_forces(given, 10.0)
+    np.testing.assert_allclose(after.tangential[site, 0], [2.0, 2.0, 1.5])
 
 
-def test_mixed_pressures_are_not_negative():
-    normal, tangential = np.array([2.0, -1.0]), np.array([[3.0, -4.0], [-5.0, 6.0]])
-    given = Multipliers(normal, tangential, np.array([-7.0]), np.array([True, False]))
-    other = given.from_flat(given.flat())
-    np.testing.assert_array_equal(other.normal, [2.0, 0.0])
-    for name in ("tangential", "tied", "sticking"):
-        np.testing.assert_array_equal(getattr(other, name), getattr(given, name))
+@pytest.mark.parametrize(("slid", "is_held"), [(True, True), (False, False)])
+def test_nodes_that_have_slid_back_stick(blocks, slid, is_held):
+    """Slip of a node that has only begun to slip has no direction yet."""
+    rows, site = blocks[1], OBSTACLE[:1]
+    friction = Friction(site, np.array([[[1.0, 0.0]]]), np.zeros(1), np.array([[0.1]]), np.ones(1))
+    rows, given = replace(rows, friction=friction), Multipliers.none(rows)
+    given.normal[site], given.tangential[site, 0] = 1.0, 1.0
+    on_site = np.isin(np.arange(9), site)
+    given = replace(given, slipping=on_site, slid=on_site & slid)
+    face = Face.of(rows, given, 1e-12)
+    assert face.held.tolist() == on_site.tolist()
+    assert face.sticks.tolist() == [is_held]
+    assert face.contacts.size == 9 + is_held
+    assert face.friction.size == 0
+
+
+def test_face_after_changes_of_forces(blocks):
+    """Rows that would pull lose their forces, others that press join."""
+    rows, given = blocks[1], Multipliers.none(blocks[1])
+    given.normal[:2] = 4.0 / rows.contacts.length[:2]
+    face, change = Face.of(rows, given, 0.0), np.zeros(9)
+    change[:3] = -1.0, -5.0, 2.0
+    assert face.pulling(change).tolist() == [False, True] + 7 * [False]
+    after = face.after(change, np.zeros(0), np.zeros((0, 1)), face.held, np.zeros(0, dtype=bool))
+    np.testing.assert_allclose(rows.normal_forces(after)[:4], [3.0, 0.0, 2.0, 0.0])
+    assert not face.without(face.held).multipliers.normal.any()
 
 
 @pytest.mark.parametrize(

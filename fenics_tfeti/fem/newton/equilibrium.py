@@ -18,8 +18,8 @@ from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import SlaveValues, row_values
 from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.displacement import owned_values, prescribed_components
-from fenics_tfeti.fem.newton.contact_stiffness import has_turning_normals
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.solver import TornSolution
@@ -83,69 +83,83 @@ class DeformedRows:
         slip, times the stiffness [N/m], where the force is below the bound. Slips up to a length
         [m] are negligible.
         """
-        friction = self.friction
-        length = self.contacts.length[friction.row]
-        force, bound = length[:, None] * self.tractions(multipliers), self.slip_bounds(multipliers)
+        force, bound = self.friction_forces(multipliers), self.slip_bounds(multipliers)
         # in directions without force supports decide the slip
-        slip = -np.asarray(friction.slip)
-        slip = np.where((force == 0.0) | (np.abs(slip) <= negligible), 0.0, slip)
+        slip = np.where((force == 0.0) | (np.abs(self.slip) <= negligible), 0.0, self.slip)
         trial = force + stiffness * slip
         size = np.linalg.norm(trial, axis=1)
         share = np.divide(bound, size, out=np.ones_like(size), where=size > bound)
         return np.linalg.norm(force - share[:, None] * trial, axis=1)
 
-    def tractions(self, multipliers: Multipliers) -> Vector:
-        """Return the tangential multipliers (k, gdim - 1) along the tangents of each site."""
+    @property
+    def slip(self) -> Vector:
+        """Slip since the last load step (k, gdim - 1) along the tangents of each site [m]."""
+        return -np.asarray(self.friction.slip)
+
+    def friction_forces(self, multipliers: Multipliers) -> Vector:
+        """Return the tangential forces (k, gdim - 1) along the tangents of each site [N]."""
         traction = multipliers.tangential[self.place[self.friction.row]]
-        return np.einsum("kta,ka->kt", self.friction.tangents, traction)
+        length = self.contacts.length[self.friction.row]
+        return length[:, None] * np.einsum("kta,ka->kt", self.friction.tangents, traction)
+
+    def normal_forces(self, multipliers: Multipliers) -> Vector:
+        """Return the normal forces (k,) of the contact rows [N]."""
+        return self.contacts.length * multipliers.normal[self.place]
 
     def slip_bounds(self, multipliers: Multipliers) -> Vector:
         """Return the slip bounds (k,) of normal forces [N]."""
-        friction, row = self.friction, self.friction.row
-        normal = multipliers.normal[self.place[row]] * self.contacts.length[row]
-        return friction.bound + np.asarray(friction.coefficient) * normal
+        friction, normal = self.friction, self.normal_forces(multipliers)
+        return friction.bound + np.asarray(friction.coefficient) * normal[friction.row]
 
-    def turning_force(self, multipliers: Multipliers) -> Vector:
-        """Return the normal forces that have `ContactStiffness`, at the nodes as `force`.
+    def with_slipping_forces(self, multipliers: Multipliers, stiffness: float) -> Multipliers:
+        """Return multipliers with forces at their bounds, against slip, where nodes slip.
 
-        Collective.
+        Their directions are those of t + stiffness * slip, for the forces t that are there.
         """
-        turning = Multipliers.none(self)
-        size = 0
-        for found in self.conditions.contacts:
-            rows = slice(size, size + found.pairing.surface.nodes.size)
-            size = rows.stop
-            if has_turning_normals(found.contact):
-                turning.normal[rows] = multipliers.normal[rows]
-            if found.body is not None or found.rigid_master is not None:
-                turning.normal[rows][multipliers.sticking[rows]] = 0.0
-        return self.force(turning)[0]
+        friction, place = self.friction, self.place[self.friction.row]
+        slips = multipliers.slipping[place]
+        if not slips.any():
+            return multipliers
+        force = self.friction_forces(multipliers)
+        # a slip against its force does not turn it round: the node will stick
+        turns = multipliers.slid[place] & (np.sum(force * self.slip, axis=1) > 0.0)
+        along = force + np.where(turns[:, None], stiffness * self.slip, 0.0)
+        traction = self.slip_bounds(multipliers) / self.contacts.length[friction.row]
+        tractions = traction[:, None] * unit(along)
+        tangential = multipliers.tangential.copy()
+        tangential[place[slips]] = np.einsum("kt,kta->ka", tractions, friction.tangents)[slips]
+        return replace(multipliers, tangential=tangential)
 
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
 
-        With it that at the nodes (b, gdim) beyond those of the mesh, up to the last rigid body's.
+        With it that at the nodes (b, gdim) beyond those of the mesh, of rigid bodies and bolts.
         """
         nodes, site = self.conditions.boundary.nodes, self.friction.row
-        normal = multipliers.normal[self.place]
-        tangential = self.tractions(multipliers).ravel()
+        normal = self.normal_forces(multipliers)
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
-        terms += [(self.friction.tangential_rows(self.contacts), tangential)] if site.size else []
+        if site.size:
+            tangential = self.friction.tangential_rows(self.contacts)
+            terms.append((tangential, self.friction_forces(multipliers).ravel()))
         at = np.concatenate([rows.nodes for rows, _ in terms])
         forces = np.concatenate(
-            [values[rows.row][:, None] * rows.coefficients for rows, values in terms]
+            [
+                (values / rows.length)[rows.row][:, None] * rows.coefficients
+                for rows, values in terms
+            ]
         )
         in_mesh = at < nodes.total
-        beyond = np.zeros_like(self.conditions.bodies.free_displacements(nodes.total))
-        on_bodies = ~in_mesh & (at < nodes.total + len(beyond))
-        np.add.at(beyond, at[on_bodies] - nodes.total, forces[on_bodies])
+        last = nodes.comm.allreduce(int(at.max(initial=-1)), MPI.MAX)
+        corners = len(self.conditions.bodies.free_displacements(nodes.total))
+        beyond = np.zeros((max(corners, last + 1 - nodes.total), nodes.components))
+        np.add.at(beyond, at[~in_mesh] - nodes.total, forces[~in_mesh])
         nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
         return nodes.sum_at_owners(at[in_mesh], forces[in_mesh]), beyond
 
 
 @dataclass(frozen=True)
 class Multipliers:
-    """Multipliers of contact at the nodes of the slaves' surfaces, and of tied rows.
+    """Multipliers of contact at the nodes of the slaves' surfaces, and forces of tied rows [N].
 
     The nodes are those of `DeformedRows.surface_nodes`: in steps whose conditions are at other
     nodes multipliers have the same size. They are forces over the lengths of rows: pressures in
@@ -155,45 +169,43 @@ class Multipliers:
     normal: Vector  # (s,)
     tangential: Vector  # (s, gdim), against the force on the slave
     tied: Vector  # (tied rows,)
-    sticking: Mask  # (s,): where friction has held the last increment
+    slipping: Mask  # (s,): where friction is at its bound, and does not hold the node
+    slid: Mask  # (s,): where it was so in the last step already
 
     @staticmethod
     def none(rows: DeformedRows) -> Multipliers:
-        """Return zeros."""
+        """Return zeros; friction holds all nodes."""
         size, gdim = rows.surface_nodes.size, rows.conditions.boundary.nodes.components
-        return Multipliers(
-            np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size), np.zeros(size, bool)
-        )
+        no = np.zeros(size, dtype=bool)
+        return Multipliers(np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size), no, no)
 
     @staticmethod
     def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
         """Return those of a solution for the rows."""
+        forces = solution.normal_force, solution.tangential_force, solution.tied_force
+        return Multipliers.at_rows(rows, *forces, ~solution.sticking)
+
+    @staticmethod
+    def at_rows(
+        rows: DeformedRows, normal: Vector, tangential: Vector, tied: Vector, slipping: Mask
+    ) -> Multipliers:
+        """Return those of forces at contact rows, at sites along their tangents, and of ties."""
         new, length, site = Multipliers.none(rows), rows.contacts.length, rows.friction.row
-        new.normal[rows.place] = solution.normal_force / length
-        new.tangential[rows.place[site]] = np.einsum(
-            "kt,kta->ka", solution.tangential_force / length[site, None], rows.friction.tangents
+        place = rows.place[site]
+        new.normal[rows.place] = np.maximum(normal, 0.0) / length
+        new.tangential[place] = np.einsum(
+            "kt,kta->ka", tangential / length[site, None], rows.friction.tangents
         )
-        new.sticking[rows.place[site]] = solution.sticking
-        return replace(new, tied=solution.tied_force / rows.tied.length)
+        slips = new.slipping.copy()
+        slips[place] = slipping
+        return replace(new, tied=tied, slipping=slips)
 
     @staticmethod
     def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
         """Return those of normal forces (k,) alone [N]."""
         new = Multipliers.none(rows)
-        forces = rows.conditions.at_conditions(force)
-        new.normal[rows.place] = forces / rows.contacts.length
+        new.normal[rows.place] = rows.conditions.at_conditions(force) / rows.contacts.length
         return new
-
-    def flat(self) -> Vector:
-        """Return all as one vector."""
-        return np.concatenate([self.normal, self.tangential.ravel(), self.tied])
-
-    def from_flat(self, values: Vector) -> Multipliers:
-        """Return multipliers of the same shapes; pressures are not negative."""
-        ends = np.cumsum([self.normal.size, self.tangential.size])
-        normal, tangential, tied = np.split(values, ends)
-        tangential = tangential.reshape(self.tangential.shape)
-        return replace(self, normal=np.maximum(normal, 0.0), tangential=tangential, tied=tied)
 
 
 @dataclass(frozen=True)
@@ -233,9 +245,7 @@ class Equilibrium:
         contact, on_bodies = rows.force(multipliers)
         free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
         size = largest_of_ranks(nodes.comm, np.abs(displacement))
-        r = internal + contact
-        counts = free & (np.abs(r) > rounding.internal_forces(size)[:, None])
-        r = np.where(counts, r, 0.0)
+        r = out_of_balance(internal + contact, rows, size, rounding)
         squares = np.array([(r**2).sum(), (internal[~free] ** 2).sum(), (contact**2).sum()])
         left = _left_on_bodies(rows, on_bodies, size, rounding)
         if nodes.comm.rank == 0:
@@ -259,6 +269,16 @@ class Equilibrium:
             force,
             _largest(nodes, r),
         )
+
+
+def out_of_balance(
+    forces: Vector, rows: DeformedRows, displacement: float, rounding: Rounding
+) -> Vector:
+    """Return nodal forces (owned, gdim), but none that supports carry or that are rounding [N]."""
+    nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
+    free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
+    counts = free & (np.abs(forces) > rounding.internal_forces(displacement)[:, None])
+    return np.where(counts, forces, 0.0)
 
 
 def _left_on_bodies(

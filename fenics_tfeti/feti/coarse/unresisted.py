@@ -56,7 +56,7 @@ def split_by_groups(
     modes, number = bodies.modes, len(bodies.supports)
     force = np.zeros(number)
     for subdomain in system.subdomains:
-        nodal = np.linalg.norm(subdomain.load.reshape(-1, system.gdim), axis=1)
+        nodal = np.linalg.norm(subdomain.size_of_load.reshape(-1, system.gdim), axis=1)
         force[subdomain.body] += nodal.sum()
     force = comm.allreduce(force)
     of_body = sp.kron(sp.identity(number), np.ones((modes, 1)), format="csr")

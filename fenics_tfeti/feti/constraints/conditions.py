@@ -42,14 +42,15 @@ class RowData:
     contact: Numbers  # (r,): number of the contact
     scale: Vector  # (r,): makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1
     rhs: Vector  # (r,): right-hand side, scaled
-    tied: Mask  # (r,): whether it is an equality
+    tied: Mask  # (r,): whether it is a tied row
+    held: Mask  # (r,): whether it is a contact row that holds with equality
     tangential: Tangential
 
     @staticmethod
     def from_columns(columns: Sequence[Array]) -> RowData:
         """Return the rows with `columns` of all data."""
-        number, contact, scale, rhs, tied, *tangential = columns
-        return RowData(number, contact, scale, rhs, tied, Tangential(*tangential))
+        number, contact, scale, rhs, tied, held, *tangential = columns
+        return RowData(number, contact, scale, rhs, tied, held, Tangential(*tangential))
 
     @property
     def columns(self) -> list[Array]:
@@ -138,7 +139,8 @@ def condition_rows(
     stays_open = ~free & (gap > tolerance)
     finite[slip] &= finite[normal[slip]] & (bounded[slip] | ~stays_open[normal[slip]])
     with raise_collectively(comm):
-        _check_decided_rows(contacts, tied, gap, tolerance, finite & ~free & ~slip)
+        decided = finite & ~free & ~slip & ~np.asarray(contacts.held)
+        _check_decided_rows(contacts, tied, gap, tolerance, decided)
         check_slides(contacts, tangential, np.where(finite, gap, 0.0), tolerance, free)
     kept = finite & free
     scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), tangential, kept)
@@ -169,7 +171,8 @@ def condition_rows(
     rows = np.full(gap.size, -1, dtype=np.int64)
     rows[own] = first + first_of_rank(comm, int(own.sum()))[0] + np.arange(own.sum())
     rhs = np.where(own, scale * gap, 0.0)
-    own_rows = RowData(rows, contacts.contact, scale, rhs, tied, tangential)
+    held = np.asarray(contacts.held)
+    own_rows = RowData(rows, contacts.contact, scale, rhs, tied, held, tangential)
     entries, local = _distribute(own_rows, terms, directory, copies)
     given = RowData.from_columns([redundancy.of_rows(comm, x) for x in own_rows.columns])
     # that of the first contact at a site has the lowest number

@@ -89,6 +89,7 @@ def hold_ground(
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
         contacts=constraints.contacts.moved(places),
+        held=constraints.held.moved(places),
         tied=constraints.tied.moved(places),
         weights=weights,
         coupling=replace(constraints.coupling, rows=places[constraints.coupling.rows]),

@@ -70,6 +70,7 @@ class Constraints:
     matrix: sp.csr_matrix  # (m, n): columns of this rank's subdomains, all rows with an entry there
     layout: DualLayout  # global numbers of the rows, and the ranks that share them
     contacts: SurfaceRows  # the inequality rows
+    held: SurfaceRows  # contact rows that hold with equality
     tied: SurfaceRows  # equality rows
     weights: Vector  # (n,): diagonal of D for this rank's torn displacements
     nodes: int  # distinct nodes over all ranks
@@ -104,6 +105,10 @@ class Constraints:
         mask[self.friction.flat] = False
         return mask
 
+    def normal_forces(self, multipliers: Vector) -> Vector:
+        """Return the normal force of each contact row that this rank gave [N]."""
+        return self.contacts.forces(multipliers) + self.held.forces(multipliers)
+
     def lengths_of_rows(self) -> Vector:
         """Return the Euclidean norms (m,) of the rows of B over all ranks. Collective at first."""
         return self._lengths
@@ -118,6 +123,7 @@ class Constraints:
         pairs = (
             (self.layout.numbers, other.layout.numbers),
             (self.contacts.own_rows, other.contacts.own_rows),
+            (self.held.own_rows, other.held.own_rows),
             (self.tied.own_rows, other.tied.own_rows),
             (self.friction.rows, other.friction.rows),
             (self.friction.own, other.friction.own),
@@ -132,9 +138,11 @@ class Constraints:
             self.matrix.shape == other.matrix.shape
             and (self.matrix != other.matrix).nnz == 0
             and np.array_equal(self.contacts.contact, other.contacts.contact)
+            and np.array_equal(self.held.contact, other.held.contact)
             and np.array_equal(self.tied.contact, other.tied.contact)
             and np.array_equal(self.friction.contact, other.friction.contact)
             and np.array_equal(self.contacts.share, other.contacts.share)
+            and np.array_equal(self.held.share, other.held.share)
             and np.array_equal(self.tied.share, other.tied.share)
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
@@ -205,13 +213,19 @@ def build_constraints(
     position, first = np.unique(layout.local(rows.number), return_index=True)
     rows = rows.chosen(first)
     slip = rows.tangential.mask
-    contacts, tied = (
+    first_rows = np.arange(has_row.size) < system.contacts.size
+    contacts, held, tied = (
         SurfaceRows(
-            position[chosen], rows.contact[chosen], rows.scale[chosen], own_rows[own], share[own]
+            position[chosen],
+            rows.contact[chosen],
+            rows.scale[chosen],
+            np.where(of_kind, own_rows, -1)[own],
+            conditions.share[own],
         )
-        for chosen, own, share in (
-            (~rows.tied & ~slip, slice(system.contacts.size), conditions.share),
-            (rows.tied, given.tied, conditions.share),
+        for chosen, of_kind, own in (
+            (~(rows.tied | rows.held | slip), ~given.held, first_rows),
+            (rows.held, given.held, first_rows),
+            (rows.tied, given.tied, given.tied),
         )
     )
     friction = FrictionRows.build(
@@ -227,6 +241,7 @@ def build_constraints(
         matrix,
         layout,
         contacts,
+        held,
         tied,
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],

@@ -30,7 +30,7 @@ class RowBodies:
     of_unknown: Numbers  # (n,) body of each of this rank's torn unknowns
     row: Numbers  # (p,)
     body: Numbers  # (p,)
-    tied: Numbers  # (2, q) pairs of bodies that tied rows of this rank connect
+    tied: Numbers  # (2, q) pairs of bodies that tied and held rows of this rank connect
     site: Numbers  # (s,)
     site_body: Numbers  # (s,)
 
@@ -45,7 +45,8 @@ class RowBodies:
         count = count_over_ranks(system.comm, of_subdomain)
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
-        pairs = _pairs(*_bodies_of_rows(constraints, constraints.tied.rows, of_unknown))
+        joined = np.append(constraints.tied.rows, constraints.held.rows)
+        pairs = _pairs(*_bodies_of_rows(constraints, joined, of_unknown))
         numbers = np.append(constraints.contacts.contact, constraints.friction.contact)
         contacts = count_over_ranks(system.comm, numbers)
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)

@@ -1,0 +1,181 @@
+"""The Hessian of contact in a Newton step: what the tangents of the bodies and the rows lack.
+
+On the face of a step the derivative of equilibrium and of the gaps is
+
+    K d + B'dP + E d = -r,    B d + E_g d = gap,    E d = d(B'P)/du d,
+
+where E has the forces that turn with the surfaces and move along them, and friction that follows
+its normal force. It couples the bodies, so no subdomain can have it. Total FETI without it is the
+preconditioner M of flexible GMRES; vectors are forces at the surfaces, and gaps. E d is a
+difference of rows at u + eps d, of any kind of contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fenics_tfeti.fem.contact.conditions.pairing import row_values
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows
+from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.load_step import LoadStep
+from fenics_tfeti.feti import Subdomain, TornSolver
+from fenics_tfeti.feti.solution.face_solve import FaceSolution
+from fenics_tfeti.parallel import largest_of_ranks
+from fenics_tfeti.qp import Products, Space
+from fenics_tfeti.qp.flexible_gmres import flexible_gmres
+from fenics_tfeti.typing import Mask, Vector
+
+# displacements by which rows are differenced, relative to the size of the mesh: those of the step
+# within these limits, as coverage has kinks where edges of surfaces lie on each other
+_SHORTEST, _LONGEST = 1e-9, 1e-7
+# accuracy of the face solves that precondition GMRES, whose products rely on it
+_INNER = 1e-3
+# face solves of a step
+_MOST = 12
+
+
+@dataclass(frozen=True)
+class ContactHessian:
+    """E on the face of a state, with what the tangents of a system lack of the exact ones."""
+
+    load_step: LoadStep
+    displacement: Vector  # as of `NewtonState` [m]
+    face: Face
+    on_face: Mask  # (rows of the face's contacts,)
+    exact: Sequence[Subdomain]
+    used: Sequence[Subdomain]  # of the solver
+
+    @cached_property
+    def _force(self) -> tuple[Vector, Vector]:
+        face = self.face
+        slipping = face.rows.with_slipping_forces(face.multipliers, self.load_step.slip_stiffness)
+        return face.rows.force(slipping)
+
+    def times(self, change: FaceSolution, begin: Sequence[Vector], length: float) -> Vector:
+        """Return E d and E_g d as one vector, by rows at a distance [m]. Collective.
+
+        Without displacement the bodies begin at their motions.
+        """
+        load_step, face, nodes = self.load_step, self.face, self.load_step.torn.nodes
+        bodies = face.rows.conditions.bodies
+        end = face.rows.conditions.motions_after(change.displacements)
+        turned = [b - a for a, b in zip(begin, end, strict=True)]
+        d = load_step.torn.at_owned_nodes(change.displacements)
+        increment = np.concatenate([d, bodies.as_vector(turned)])
+        largest = largest_of_ranks(nodes.comm, np.abs(increment))
+        # without displacement there is no difference, either
+        eps = length / (largest or 1.0)
+        rows = load_step.rows_at(self.displacement + eps * increment, bodies, face.rows)
+        force, beyond = (
+            (new - old) / eps
+            for new, old in zip(self._forces_at(rows, eps, change), self._force, strict=True)
+        )
+        force = load_step.at_free(force + self._lacking(change.displacements), face.rows)
+        moved = [replace(f, motion=m) for f, m in zip(bodies.frames, turned, strict=True)]
+        free = replace(bodies, frames=moved).free_displacements(nodes.total)
+        contacts, tied = face.contacts, face.rows.tied
+        of_contacts = face.distances_of(rows) - self._gap
+        of_tied = rows.tied.gap / rows.tied.length - self._tied_gap
+        gap = -of_contacts / eps - row_values(nodes, contacts, d, free) / contacts.length
+        tied_gap = -of_tied / eps - row_values(nodes, tied, d, free) / tied.length
+        return self._flat(force, gap, tied_gap, beyond)
+
+    def _forces_at(
+        self, rows: DeformedRows, eps: float, change: FaceSolution
+    ) -> tuple[Vector, Vector]:
+        """Return forces in other rows; friction where nodes slip follows the normal force."""
+        face, multipliers = self.face, self.face.multipliers
+        normal = multipliers.normal.copy()
+        length = face.rows.contacts.length
+        normal[face.rows.place] += eps * change.normal_force[: length.size] / length
+        slipping = rows.with_slipping_forces(
+            replace(multipliers, normal=normal), self.load_step.slip_stiffness
+        )
+        return rows.force(replace(slipping, normal=multipliers.normal))
+
+    def _lacking(self, displacements: Sequence[Vector]) -> Vector:
+        """Return forces (owned, gdim) of the exact tangents less those used. Collective."""
+        torn = self.load_step.torn
+        parts = [
+            exact.stiffness_times(u) - used.stiffness_times(u)
+            if exact.stiffness is not used.stiffness
+            else np.zeros_like(u)
+            for exact, used, u in zip(self.exact, self.used, displacements, strict=True)
+        ]
+        return torn.sum_at_nodes(self.used, parts)
+
+    @cached_property
+    def _gap(self) -> Vector:
+        """The distances of the rows of the face; slips where friction holds [m]."""
+        return self.face.contacts.gap / self.face.contacts.length
+
+    @cached_property
+    def _tied_gap(self) -> Vector:
+        """The jumps of tied rows [m]."""
+        return self.face.rows.tied.gap / self.face.rows.tied.length
+
+    def _flat(self, force: Vector, gap: Vector, tied_gap: Vector, beyond: Vector) -> Vector:
+        """Return one vector, with gaps as forces; of gaps those of the face."""
+        gap = np.where(self.on_face & np.isfinite(gap), gap, 0.0)
+        tied_gap = np.where(np.isfinite(tied_gap), tied_gap, 0.0)
+        unit = self.load_step.slip_stiffness
+        return np.concatenate([force.ravel(), unit * gap, unit * tied_gap, beyond.ravel()])
+
+    @cached_property
+    def _sizes(self) -> list[int]:
+        """The sizes of the parts of a vector."""
+        force, beyond = self._force
+        return [force.size, self._gap.size, self.face.rows.tied.size, beyond.size]
+
+    @cached_property
+    def _space(self) -> Space:
+        """The inner product; forces beyond the nodes of the mesh are the same on all ranks."""
+        comm = self.load_step.torn.nodes.comm
+        return Space(sum(self._sizes[: 4 if comm.rank == 0 else 3]), comm.allreduce)
+
+    def corrected(
+        self,
+        first: FaceSolution,
+        balance: tuple[Vector, Vector],
+        solver: TornSolver,
+        rtol: float,
+        negligible: float,
+        products: Products,
+    ) -> tuple[FaceSolution, int, float]:
+        """Return the solution with E, the face solves that it took, and what is left. Collective.
+
+        `first` is that without E, whose residual is reduced by `rtol`, or to negligible forces [N].
+        What is left of it is relative to the larger of its first value and the right-hand side,
+        with the forces at nodes and beyond that the step balances.
+        """
+        right = self._flat(balance[0], self._gap, self._tied_gap, balance[1])
+        torn, conditions = self.load_step.torn, self.face.rows.conditions
+        size = largest_of_ranks(torn.nodes.comm, np.abs(torn.at_owned_nodes(first.displacements)))
+        extent = self.load_step.rounding.extent
+        length = min(max(size, _SHORTEST * extent), _LONGEST * extent)
+        at_rest = conditions.motions_after([np.zeros(s.size) for s in self.used])
+        residual = -self.times(first, conditions.bodies.motions, length)
+        beta = self._space.norm(residual)
+        tolerance = max(rtol * beta, negligible)
+
+        def solve(v: Vector) -> FaceSolution:
+            force, gap, tied_gap, beyond = np.split(v, np.cumsum(self._sizes[:-1]))
+            shape, unit = (-1, torn.nodes.components), self.load_step.slip_stiffness
+            loads = torn.spread(self.used, force.reshape(shape), beyond.reshape(shape))
+            return solver.solve_face(loads, gap / unit, tied_gap / unit, _INNER, products)
+
+        solutions, y, left = flexible_gmres(
+            residual,
+            solve,
+            lambda change: self.times(change, at_rest, length),
+            self._space,
+            tolerance=tolerance,
+            most=_MOST,
+        )
+        for factor, solution in zip(y, solutions, strict=True):
+            first = first.plus(float(factor), solution)
+        return first, len(solutions), left / max(beta, self._space.norm(right), negligible)

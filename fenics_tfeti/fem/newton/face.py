@@ -1,0 +1,117 @@
+"""The face of a Newton step: contact rows that press hold with equality.
+
+Where nodes press, the row holds whatever the change of its force; where friction holds them, too,
+so do the tangential rows. Where they slip, friction forces are loads. Rows that do not press stay
+inequalities, with friction as of the contact problem, so that contact may grow. Unknowns are the
+changes of forces: the tolerance of a linear problem is then relative to what is out of balance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
+from fenics_tfeti.feti.system import ContactRows, Friction
+from fenics_tfeti.typing import Mask, Vector
+
+
+@dataclass(frozen=True)
+class Face:
+    """The rows of a state that hold with equality, and how the rest is posed."""
+
+    rows: DeformedRows
+    multipliers: Multipliers
+    held: Mask  # (contact rows,)
+    sticks: Mask  # (sites,): at held rows
+    free: Mask  # (sites,): at other rows
+
+    @staticmethod
+    def of(rows: DeformedRows, multipliers: Multipliers, negligible: float) -> Face:
+        """Hold the rows that press; nodes that slid against their forces stick."""
+        friction, place = rows.friction, rows.place
+        held = multipliers.normal[place] > 0.0
+        forces = rows.friction_forces(multipliers)
+        back, size = np.sum(forces * rows.slip, axis=1), np.linalg.norm(forces, axis=1)
+        at = place[friction.row]
+        returns = multipliers.slid[at] & (back < -negligible * size)
+        slips = multipliers.slipping[at] & ~returns
+        sites = held[friction.row]
+        slipping = multipliers.slipping.copy()
+        slipping[at] = slips
+        multipliers = replace(multipliers, slipping=slipping)
+        return Face(rows, multipliers, held, sites & ~slips, ~sites)
+
+    def without(self, released: Mask) -> Face:
+        """Return the face where some contact rows are inequalities, with all forces as unknowns."""
+        place, sites = self.rows.place[released], released[self.rows.friction.row]
+        normal, tangential = self.multipliers.normal.copy(), self.multipliers.tangential.copy()
+        normal[place], tangential[place] = 0.0, 0.0
+        multipliers = replace(self.multipliers, normal=normal, tangential=tangential)
+        held, sticks, free = self.held & ~released, self.sticks & ~sites, self.free | sites
+        return Face(self.rows, multipliers, held, sticks, free)
+
+    def pulling(self, changes: Vector) -> Mask:
+        """Tell which held rows would pull after changes of the forces at `contacts`."""
+        forces = self.rows.normal_forces(self.multipliers) + changes[: self.held.size]
+        return self.held & (forces < 0.0)
+
+    @cached_property
+    def contacts(self) -> ContactRows:
+        """The contact rows, and after them the tangential rows that hold."""
+        contacts = replace(self.rows.contacts, held=self.held)
+        if not self.sticks.any():
+            return contacts
+        tangential = self._friction(self.sticks).tangential_rows(contacts)
+        tangential = replace(tangential, held=np.ones(tangential.size, dtype=bool))
+        return ContactRows.concatenate([contacts, tangential])
+
+    @cached_property
+    def friction(self) -> Friction:
+        """Friction at the rows that are inequalities."""
+        return self._friction(self.free)
+
+    def distances_of(self, rows: DeformedRows) -> Vector:
+        """Return the distances of other rows at the nodes of `contacts`, NaN where there are none.
+
+        At tangential rows they are slips as `Friction.slip` [m].
+        """
+        distance = np.full(self.multipliers.normal.size, np.nan)
+        slip = np.full((distance.size, rows.friction.tangents.shape[1]), np.nan)
+        distance[rows.place] = rows.distance
+        slip[rows.place[rows.friction.row]] = rows.friction.slip
+        at_sites = self.rows.place[self.rows.friction.row[self.sticks]]
+        return np.append(distance[self.rows.place], slip[at_sites].ravel())
+
+    def _friction(self, sites: Mask) -> Friction:
+        friction = self.rows.friction
+        return Friction(*(np.asarray(column)[sites] for column in vars(friction).values()))
+
+    def after(
+        self, normal: Vector, tied: Vector, tangential: Vector, has_row: Mask, sticking: Mask
+    ) -> Multipliers:
+        """Return the forces after changes at `contacts`, ties and free sites.
+
+        Held rows that are no rows of the problem lose their forces, as do those that would pull.
+        """
+        rows, before = self.rows, self.multipliers
+        changes, of_sticking = np.split(normal, [rows.contacts.size])
+        kept = self.held & has_row[: rows.contacts.size]
+        kept = np.where(kept, rows.normal_forces(before), 0.0)
+        pressing = np.maximum(kept + changes, 0.0)
+        forces, slipping = rows.friction_forces(before), np.zeros(rows.friction.size, dtype=bool)
+        forces[self.free], slipping[self.free] = tangential, ~sticking
+        forces[self.sticks] += of_sticking.reshape(-1, forces.shape[1])
+        changed = Multipliers.at_rows(rows, pressing, forces, before.tied + tied, slipping)
+        bound, size = rows.slip_bounds(changed), np.linalg.norm(forces, axis=1)
+        slides = ~(self.sticks | self.free)
+        slides |= self.sticks & (size > bound)
+        scale = np.divide(bound, size, out=np.zeros_like(size), where=size > 0.0)
+        forces = np.where(slides[:, None], scale[:, None] * forces, forces)
+        after = Multipliers.at_rows(rows, pressing, forces, changed.tied, slipping | slides)
+        # one that has only begun to slip has no direction of slip yet
+        slid = np.zeros_like(after.slipping)
+        slid[rows.place[rows.friction.row]] = ~(self.sticks | self.free)
+        return replace(after, slid=slid)
