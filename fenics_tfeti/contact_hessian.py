@@ -20,14 +20,14 @@ import numpy as np
 
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows
-from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep
-from fenics_tfeti.feti import Subdomain, TornSolver
-from fenics_tfeti.feti.solution.face_solve import FaceSolution
+from fenics_tfeti.feti import Subdomain
+from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem, RowValues
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import Products, Space
-from fenics_tfeti.qp.flexible_gmres import flexible_gmres
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.qp import Space
+from fenics_tfeti.qp.gmres import gmres
+from fenics_tfeti.typing import Vector
 
 # displacements by which rows are differenced, relative to the size of the mesh: those of the step
 # within these limits, as coverage has kinks where edges of surfaces lie on each other
@@ -39,13 +39,23 @@ _MOST = 12
 
 
 @dataclass(frozen=True)
+class Correction:
+    """The solution of a step with the Hessian of contact."""
+
+    change: Change
+    solves: int
+    products: int
+    left: float  # part of the residual
+
+
+@dataclass(frozen=True)
 class ContactHessian:
     """E on the face of a state, with what the tangents of a system lack of the exact ones."""
 
     load_step: LoadStep
     displacement: Vector  # as of `NewtonState` [m]
     face: Face
-    on_face: Mask  # (rows of the face's contacts,)
+    linear: LinearProblem
     exact: Sequence[Subdomain]
     used: Sequence[Subdomain]  # of the solver
 
@@ -55,7 +65,7 @@ class ContactHessian:
         slipping = face.rows.with_slipping_forces(face.multipliers, self.load_step.slip_stiffness)
         return face.rows.force(slipping)
 
-    def times(self, change: FaceSolution, begin: Sequence[Vector], length: float) -> Vector:
+    def times(self, change: Change, begin: Sequence[Vector], length: float) -> Vector:
         """Return E d and E_g d as one vector, by rows at a distance [m]. Collective.
 
         Without displacement the bodies begin at their motions.
@@ -84,14 +94,12 @@ class ContactHessian:
         tied_gap = -of_tied / eps - row_values(nodes, tied, d, free) / tied.length
         return self._flat(force, gap, tied_gap, beyond)
 
-    def _forces_at(
-        self, rows: DeformedRows, eps: float, change: FaceSolution
-    ) -> tuple[Vector, Vector]:
+    def _forces_at(self, rows: DeformedRows, eps: float, change: Change) -> tuple[Vector, Vector]:
         """Return forces in other rows; friction where nodes slip follows the normal force."""
         face, multipliers = self.face, self.face.multipliers
         normal = multipliers.normal.copy()
         length = face.rows.contacts.length
-        normal[face.rows.place] += eps * change.normal_force[: length.size] / length
+        normal[face.rows.place] += eps * change.forces.normal[: length.size] / length
         slipping = rows.with_slipping_forces(
             replace(multipliers, normal=normal), self.load_step.slip_stiffness
         )
@@ -120,7 +128,7 @@ class ContactHessian:
 
     def _flat(self, force: Vector, gap: Vector, tied_gap: Vector, beyond: Vector) -> Vector:
         """Return one vector, with gaps as forces; of gaps those of the face."""
-        gap = np.where(self.on_face & np.isfinite(gap), gap, 0.0)
+        gap = np.where(self.linear.active & np.isfinite(gap), gap, 0.0)
         tied_gap = np.where(np.isfinite(tied_gap), tied_gap, 0.0)
         unit = self.load_step.slip_stiffness
         return np.concatenate([force.ravel(), unit * gap, unit * tied_gap, beyond.ravel()])
@@ -138,15 +146,9 @@ class ContactHessian:
         return Space(sum(self._sizes[: 4 if comm.rank == 0 else 3]), comm.allreduce)
 
     def corrected(
-        self,
-        first: FaceSolution,
-        balance: tuple[Vector, Vector],
-        solver: TornSolver,
-        rtol: float,
-        negligible: float,
-        products: Products,
-    ) -> tuple[FaceSolution, int, float]:
-        """Return the solution with E, the face solves that it took, and what is left. Collective.
+        self, first: Change, balance: tuple[Vector, Vector], rtol: float, negligible: float
+    ) -> Correction:
+        """Return the solution with E. Collective.
 
         `first` is that without E, whose residual is reduced by `rtol`, or to negligible forces [N].
         What is left of it is relative to the larger of its first value and the right-hand side,
@@ -159,23 +161,27 @@ class ContactHessian:
         length = min(max(size, _SHORTEST * extent), _LONGEST * extent)
         at_rest = conditions.motions_after([np.zeros(s.size) for s in self.used])
         residual = -self.times(first, conditions.bodies.motions, length)
-        beta = self._space.norm(residual)
+        beta, products = self._space.norm(residual), 0
+
+        def step(v: Vector) -> tuple[Change, Vector]:
+            nonlocal products
+            solution = self.linear.approximate(self._data(v), _INNER)
+            products += solution.products
+            change = Change(solution.displacements, solution.forces)
+            return change, v + self.times(change, at_rest, length)
+
         tolerance = max(rtol * beta, negligible)
+        changes, y, left = gmres(step, residual, self._space, tolerance=tolerance, max_it=_MOST)
+        for factor, change in zip(y, changes, strict=True):
+            first = first.plus(float(factor), change)
+        left /= max(beta, self._space.norm(right), negligible)
+        return Correction(first, len(changes), products, left)
 
-        def solve(v: Vector) -> FaceSolution:
-            force, gap, tied_gap, beyond = np.split(v, np.cumsum(self._sizes[:-1]))
-            shape, unit = (-1, torn.nodes.components), self.load_step.slip_stiffness
-            loads = torn.spread(self.used, force.reshape(shape), beyond.reshape(shape))
-            return solver.solve_face(loads, gap / unit, tied_gap / unit, _INNER, products)
-
-        solutions, y, left = flexible_gmres(
-            residual,
-            solve,
-            lambda change: self.times(change, at_rest, length),
-            self._space,
-            tolerance=tolerance,
-            most=_MOST,
-        )
-        for factor, solution in zip(y, solutions, strict=True):
-            first = first.plus(float(factor), solution)
-        return first, len(solutions), left / max(beta, self._space.norm(right), negligible)
+    def _data(self, v: Vector) -> LinearData:
+        """Return loads and jumps of a vector. Collective."""
+        torn, unit = self.load_step.torn, self.load_step.slip_stiffness
+        force, gap, tied_gap, beyond = np.split(v, np.cumsum(self._sizes[:-1]))
+        shape = -1, torn.nodes.components
+        loads = torn.spread(self.used, force.reshape(shape), beyond.reshape(shape))
+        none = RowValues.zeros(self.linear.system)
+        return LinearData(loads, replace(none, normal=gap / unit, tied=tied_gap / unit), none)

@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.contact_hessian import ContactHessian
+from fenics_tfeti.contact_hessian import ContactHessian, Correction
 from fenics_tfeti.errors import (
     InputError,
     NotConverged,
@@ -22,15 +22,13 @@ from fenics_tfeti.errors import (
 from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.displacement import fill_displacement, owned_values
 from fenics_tfeti.fem.newton.equilibrium import Multipliers
-from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.feti import TangentKind, Timer, TornSolution, TornSolver, prepare_tangents
 from fenics_tfeti.feti.coarse.free_motions import describe_free_motions
-from fenics_tfeti.feti.solution.face_solve import FaceSolution
 from fenics_tfeti.feti.tangents import has_small_strains
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, print_on_first_rank
-from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
@@ -104,22 +102,13 @@ class _LinearisedStep:
     """The solution of the linearised problem of a step."""
 
     face: Face
-    change: FaceSolution
+    corrected: Correction
     first: TornSolution  # without the Hessian of contact
-    corrections: int
-    products: int  # of these
 
-    def multipliers(self, length: float) -> Multipliers:
+    def multipliers(self, part: float) -> Multipliers:
         """Return the forces after a part of the step."""
-        part = length if self.face.held.any() else 1.0
-        change, first = self.change, self.first
-        return self.face.after(
-            part * change.normal_force,
-            part * change.tied_force,
-            part * change.tangential_force,
-            first.active,
-            first.sticking,
-        )
+        changes = self.corrected.change.forces
+        return self.face.after(changes, part, self.first.active, self.first.sticking)
 
 
 class NewtonIteration:
@@ -167,7 +156,8 @@ class NewtonIteration:
     def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
         step = self._solve_linearised(state, monitor)
-        change = step.change
+        corrected = step.corrected
+        change = corrected.change
         bodies, start = state.bodies, state.bodies.motions
         motions = state.rows.conditions.motions_after(change.displacements)
         turned = [end - begin for begin, end in zip(start, motions, strict=True)]
@@ -188,8 +178,8 @@ class NewtonIteration:
                 new.equilibrium.friction,
                 length,
                 int(torn.nodes.comm.allreduce(np.count_nonzero(pressing))),
-                report.products["total"] + step.products,
-                step.corrections,
+                report.products["total"] + corrected.products,
+                corrected.solves,
                 report.deflation["negative"],
                 0.0,
             )
@@ -260,7 +250,7 @@ class NewtonIteration:
             ],
         )
         prepared = prepare_tangents(system, tangent)
-        solver = replace(options.solver, rtol=self._accuracy(state), error_if_not_converged=False)
+        solver = replace(options.solver, error_if_not_converged=False)
         self.solver = TornSolver(prepared, solver, self._timer, self.solver)
         self.solution = solution = self.solver.solve(monitor)
         if not (is_last or solution.report.converged):
@@ -268,48 +258,38 @@ class NewtonIteration:
         comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
             return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
-        change = FaceSolution(
-            solution.displacements,
-            solution.normal_force,
-            solution.tied_force,
-            solution.tangential_force,
-        )
-        corrections, products = 0, Products()
+        corrected = Correction(Change.of(solution), 0, 0, 0.0)
         if not is_last:
-            on_face = solution.active
             hessian = ContactHessian(
                 load_step,
                 state.displacement,
                 face,
-                on_face,
+                self.solver.linear_problem(),
                 system.subdomains,
                 prepared.subdomains,
             )
             negligible = 0.1 * options.newton_rtol * state.equilibrium.force
             rtol = max(min(_LOOSEST, _FORCING * state.equilibrium.residual), _TIGHTEST)
-            change, corrections, left = hessian.corrected(
-                change, (force, beyond), self.solver, rtol, negligible, products
-            )
-            if left > _FAILED:
+            corrected = hessian.corrected(corrected.change, (force, beyond), rtol, negligible)
+            if corrected.left > _FAILED:
                 return None
         free = describe_free_motions(system, solution.active, solution.sticking)
         report = replace(solution.report, free_motions=free)
         self.solution = replace(solution, report=report)
-        return _LinearisedStep(face, change, solution, corrections, products.total)
-
-    def _accuracy(self, state: NewtonState) -> float:
-        """Return the accuracy of the next linearised problem. Collective."""
-        return self._options.solver.rtol
+        return _LinearisedStep(face, corrected, solution)
 
     def _shortened(
         self, last: NewtonState, increment: Vector, step: _LinearisedStep, length: float
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
+        on_face = any_rank(self._load_step.torn.nodes.comm, step.face.held)
         while True:
             try:
                 displacement = last.displacement + length * increment
+                # forces that are all unknown are those at the end of the step
+                multipliers = step.multipliers(length if on_face else 1.0)
                 state = self._load_step.state_at(
-                    displacement, step.multipliers(length), last.bodies, self._least, last.rows
+                    displacement, multipliers, last.bodies, self._least, last.rows
                 )
                 return state, length
             except (InputError, NotConverged) as error:

@@ -60,6 +60,7 @@ from fenics_tfeti.parallel import (
     largest_of_ranks,
     raise_collectively,
 )
+from fenics_tfeti.qp import Space
 from fenics_tfeti.qp.gmres import gmres
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -333,14 +334,14 @@ class _Derivatives:
 
     def _solve_by_gmres(self, apply: Callable[[Vector], Vector], b: Vector) -> Vector:
         """Solve apply(y) = b for numbers at sites, of which each rank has a part. Collective."""
-        comm = self._state.torn.nodes.comm
-        first, _ = first_of_rank(comm, b.size)
-        own = slice(first, first + b.size)
-        y, residual = gmres(
-            lambda y: concatenate_ranks(comm, apply(y[own])), concatenate_ranks(comm, b), self._rtol
+        space = Space(sum_over_ranks=self._state.torn.nodes.comm.allreduce)
+        norm, (_, size) = space.norm(b), first_of_rank(self._state.torn.nodes.comm, b.size)
+        vectors, y, left = gmres(
+            lambda v: (v, apply(v)), b, space, tolerance=self._rtol * norm, max_it=size
         )
-        self.residual = max(self.residual, residual)
-        return y[own]
+        self.residual = max(self.residual, left / norm if norm > 0.0 else 0.0)
+        total: Vector = sum((c * v for c, v in zip(y, vectors, strict=True)), np.zeros_like(b))
+        return total
 
 
 class Adjoint(_Derivatives):

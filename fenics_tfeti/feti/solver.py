@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -33,7 +33,6 @@ from fenics_tfeti.feti.report.report import Report, build_report
 from fenics_tfeti.feti.report.resultants import friction_shares, tangential_forces
 from fenics_tfeti.feti.solution.attempts import next_attempt
 from fenics_tfeti.feti.solution.coulomb import iterate_slip_bounds
-from fenics_tfeti.feti.solution.face_solve import FaceSolution, gaps_of_rows, solve_on_face
 from fenics_tfeti.feti.solution.linear import LinearProblem
 from fenics_tfeti.feti.solution.monitor import Monitor, MonitorFunction
 from fenics_tfeti.feti.solution.outer import dual_problem
@@ -49,7 +48,6 @@ from fenics_tfeti.feti.system import ContactGuess, TornSystem
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.feti.tolerances import SURFACE
 from fenics_tfeti.parallel import any_rank, raise_collectively
-from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Vector
 
 
@@ -339,8 +337,6 @@ class TornSolver:
         if hasattr(self, "setup"):
             del self.setup, self._balance
             self._last = None
-        if hasattr(self, "_solved"):
-            del self._solved
 
     def solve(self, monitor: MonitorFunction | None = None) -> TornSolution:
         """Solve the dual problem (11.36) and recover the displacement (11.29).
@@ -390,7 +386,6 @@ class TornSolver:
         none, last = np.zeros(0), outcome.candidate
         recovered = replace(last.recovered, strained=none, torn=none)
         self._last = replace(last, recovered=recovered)
-        self._solved = setup, outcome.candidate.face
         report = build_report(self.system, context, outcome, list(self.reused))
         if self._has_own_timer:
             self.timer.restart()
@@ -413,63 +408,6 @@ class TornSolver:
                 report,
             )
         return solution
-
-    def solve_face(
-        self,
-        loads: Sequence[Vector],
-        gap: Vector,
-        tied_gap: Vector,
-        rtol: float,
-        products: Products,
-    ) -> FaceSolution:
-        """Solve for another load and other gaps on the face of the last solution. Collective.
-
-        The rows of the face, those with a force and sites that stick, hold with equality; other
-        forces, prescribed displacements and slips are zero. It takes the operators that are there.
-
-        Parameters
-        ----------
-        loads : sequence of (n_i,) arrays
-            f_i of this rank's subdomains [N].
-        gap, tied_gap : arrays
-            Distances (contact rows,) and (tied rows,) that the rows of this rank close [m].
-        rtol : float
-            Accuracy, as the part of the first residual's energy norm that is left.
-        products : Products
-            Counts the applications of F.
-
-        Returns
-        -------
-        FaceSolution
-            Displacements and forces.
-
-        Raises
-        ------
-        InputError
-            If nothing was solved, or the solver was released.
-        """
-        if not hasattr(self, "_solved"):
-            raise InputError("there is no face; call solve() first")
-        setup, face = self._solved
-        constraints, unknowns = setup.constraints, setup.local.unknowns
-        load = unknowns.with_ground(np.concatenate([np.zeros(0), *loads]))
-        with self.timer.phase("iterations"), interruption.deferred():
-            multipliers, displacement = solve_on_face(
-                setup,
-                face,
-                load,
-                gaps_of_rows(constraints, gap, tied_gap),
-                rtol=rtol,
-                most=products.total + self.options.max_products,
-                products=products,
-            )
-        interruption.check(self.system.comm)
-        return FaceSolution(
-            unknowns.split(displacement),
-            constraints.normal_forces(multipliers),
-            constraints.tied.forces(multipliers),
-            tangential_forces(constraints, self.data, multipliers),
-        )
 
     def _solution(self, outcome: Outcome, report: Report) -> TornSolution:
         multipliers = outcome.candidate.multipliers

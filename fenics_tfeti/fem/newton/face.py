@@ -8,14 +8,37 @@ changes of forces: the tolerance of a linear problem is then relative to what is
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
+from fenics_tfeti.feti import TornSolution
+from fenics_tfeti.feti.solution.linear import RowValues
 from fenics_tfeti.feti.system import ContactRows, Friction
 from fenics_tfeti.typing import Mask, Vector
+
+
+@dataclass(frozen=True)
+class Change:
+    """Displacements of subdomains and changes of forces on a face."""
+
+    displacements: Sequence[Vector]  # (n_i,) of this rank's subdomains [m]
+    forces: RowValues  # at contacts, free sites and ties of the face [N]
+
+    @staticmethod
+    def of(solution: TornSolution) -> Change:
+        """Return that of a contact problem."""
+        forces = solution.normal_force, solution.tangential_force, solution.tied_force
+        return Change(solution.displacements, RowValues(*forces))
+
+    def plus(self, factor: float, other: Change) -> Change:
+        """Return the sum with a multiple of another one."""
+        pairs = zip(self.displacements, other.displacements, strict=True)
+        displacements = [x + factor * y for x, y in pairs]
+        return Change(displacements, self.forces.plus(factor, other.forces))
 
 
 @dataclass(frozen=True)
@@ -89,22 +112,21 @@ class Face:
         friction = self.rows.friction
         return Friction(*(np.asarray(column)[sites] for column in vars(friction).values()))
 
-    def after(
-        self, normal: Vector, tied: Vector, tangential: Vector, has_row: Mask, sticking: Mask
-    ) -> Multipliers:
-        """Return the forces after changes at `contacts`, ties and free sites.
+    def after(self, changes: RowValues, part: float, has_row: Mask, sticking: Mask) -> Multipliers:
+        """Return the forces after a part of the changes.
 
         Held rows that are no rows of the problem lose their forces, as do those that would pull.
         """
         rows, before = self.rows, self.multipliers
-        changes, of_sticking = np.split(normal, [rows.contacts.size])
+        normal, of_sticking = np.split(part * changes.normal, [rows.contacts.size])
         kept = self.held & has_row[: rows.contacts.size]
         kept = np.where(kept, rows.normal_forces(before), 0.0)
-        pressing = np.maximum(kept + changes, 0.0)
+        pressing = np.maximum(kept + normal, 0.0)
         forces, slipping = rows.friction_forces(before), np.zeros(rows.friction.size, dtype=bool)
-        forces[self.free], slipping[self.free] = tangential, ~sticking
+        forces[self.free], slipping[self.free] = part * changes.tangential, ~sticking
         forces[self.sticks] += of_sticking.reshape(-1, forces.shape[1])
-        changed = Multipliers.at_rows(rows, pressing, forces, before.tied + tied, slipping)
+        tied = before.tied + part * changes.tied
+        changed = Multipliers.at_rows(rows, pressing, forces, tied, slipping)
         bound, size = rows.slip_bounds(changed), np.linalg.norm(forces, axis=1)
         slides = ~(self.sticks | self.free)
         slides |= self.sticks & (size > bound)

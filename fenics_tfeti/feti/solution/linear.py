@@ -64,6 +64,14 @@ class RowValues:
     tangential: Vector  # (sites, gdim - 1), along the tangents
     tied: Vector  # (tied rows,)
 
+    def plus(self, factor: float, other: RowValues) -> RowValues:
+        """Return the sum with a multiple of others."""
+        return RowValues(
+            self.normal + factor * other.normal,
+            self.tangential + factor * other.tangential,
+            self.tied + factor * other.tied,
+        )
+
     @staticmethod
     def zeros(system: TornSystem) -> RowValues:
         """Return zeros for the conditions of a system."""
@@ -128,7 +136,8 @@ class LinearProblem:
     @property
     def active(self) -> Mask:
         """The contact rows on the face, (contact rows,)."""
-        return np.append(self.face.projector.rows, False)[self._contacts.own_rows]
+        held = self.setup.constraints.held.own_rows >= 0
+        return held | np.append(self.face.projector.rows, False)[self._contacts.own_rows]
 
     @property
     def sticking(self) -> Mask:
@@ -172,10 +181,27 @@ class LinearProblem:
         NotConverged
             The tolerance was not reached.
         """
+        self._check(data)
+        solution = self.approximate(data, rtol)
+        if solution.residual > rtol:
+            limit = self.options.max_products
+            why = "rounding" if solution.products < limit else f"max_products={limit}"
+            raise NotConverged(
+                f"the linear problem on the last face is not solved to rtol {rtol:g}: {why} leaves "
+                f"a residual of {solution.residual:.1e}",
+                None,
+                None,
+            )
+        return solution
+
+    def approximate(self, data: LinearData, rtol: float) -> LinearSolution:
+        """Return the solution as far as it gets; loads that nothing resists are left. Collective.
+
+        Its residual tells how far that is.
+        """
         setup, unknowns = self.setup, self.setup.local.unknowns
-        load = unknowns.with_ground(np.concatenate([np.zeros(0), *data.loads]))
         fixed = self._fixed_multipliers(data.forces)
-        load = load - setup.F.constraint_forces(fixed)
+        load = self._load(data, fixed)
         dual, d = self._with_data(load, self._right_hand_sides(data.jumps))
         multipliers, products, residual = self._minimise(dual, rtol)
         if setup.deflation is not None:
@@ -207,7 +233,11 @@ class LinearProblem:
         """Return sums (m,) of values times factors at contact and tied rows. Collective."""
         constraints = self.setup.constraints
         total = np.zeros(constraints.size)
-        for rows, given in ((constraints.contacts, values.normal), (constraints.tied, values.tied)):
+        for rows, given in (
+            (constraints.contacts, values.normal),
+            (constraints.held, values.normal),
+            (constraints.tied, values.tied),
+        ):
             here = rows.own_rows >= 0
             np.add.at(total, rows.own_rows[here], (factor(rows) * given)[here])
         return constraints.layout.sum(total)
@@ -226,7 +256,7 @@ class LinearProblem:
         friction = constraints.friction
         at_sites = friction.scale[:, None] * friction.at_sites(multipliers)
         return RowValues(
-            constraints.contacts.forces(multipliers),
+            constraints.normal_forces(multipliers),
             self.shares[:, None] * friction.given(at_sites),
             constraints.tied.forces(multipliers),
         )
@@ -234,16 +264,24 @@ class LinearProblem:
     def _jumps(self, jumps: Vector) -> RowValues:
         constraints = self.setup.constraints
         friction, with_none = constraints.friction, np.append(jumps, 0.0)
-        normal, tied = (
+        inequality, held, tied = (
             np.sign(rows.share) * with_none[rows.own_rows] / _own_scale(rows)
-            for rows in (constraints.contacts, constraints.tied)
+            for rows in (constraints.contacts, constraints.held, constraints.tied)
         )
         slips = friction.given(friction.at_sites(jumps) / friction.scale[:, None])
-        return RowValues(normal, slips, tied)
+        return RowValues(inequality + held, slips, tied)
 
-    def _with_data(self, load: Vector, c: Vector) -> tuple[DualProblem, Vector]:
-        """Return the dual problem and d without deflation; check that the face holds the load."""
-        setup, projector = self.setup, self.face.projector
+    def _load(self, data: LinearData, fixed: Vector) -> Vector:
+        """Return the load (n,) with the forces off the face."""
+        load = self.setup.local.unknowns.with_ground(np.concatenate([np.zeros(0), *data.loads]))
+        return load - self.setup.F.constraint_forces(fixed)
+
+    def _check(self, data: LinearData) -> None:
+        """Raise if the face does not hold the load. Collective."""
+        projector, load = (
+            self.face.projector,
+            self._load(data, self._fixed_multipliers(data.forces)),
+        )
         coarse_space = projector.coarse_space
         e, size = coarse_space.coarse_load(load), coarse_space.coarse_load_size(load)
         if projector.unresisted(e, size).any():
@@ -251,6 +289,11 @@ class LinearProblem:
             raise_unresisted(
                 self.system, coarse_space, free @ (free.T @ (coarse_space.bodies.basis.T @ e))
             )
+
+    def _with_data(self, load: Vector, c: Vector) -> tuple[DualProblem, Vector]:
+        """Return the dual problem and d without deflation."""
+        setup, coarse_space = self.setup, self.face.projector.coarse_space
+        e, size = coarse_space.coarse_load(load), coarse_space.coarse_load_size(load)
         d = setup.F.load(load, c)
         return replace(self.dual, d=setup.reduced(d), e=e, e_size=size, c=c), d
 
@@ -276,14 +319,6 @@ class LinearProblem:
             # of a rigid motion the projection leaves rounding from the first residual
             given = float(np.sqrt(dual.space.dots((face.projector.on_rows(dual.d),) * 2)[0]))
             residual = min(residual, last.residual / given)
-        if residual > rtol:
-            why = "rounding" if last.at_limit else f"max_products={limit}"
-            raise NotConverged(
-                f"the linear problem on the last face is not solved to rtol {rtol:g}: {why} leaves "
-                f"a residual of {residual:.1e}",
-                None,
-                None,
-            )
         return last.multipliers, products.total, residual
 
     def _recovered(self, load: Vector, c: Vector, multipliers: Vector) -> Vector:
