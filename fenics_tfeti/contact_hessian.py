@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows
+from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep
 from fenics_tfeti.feti import Subdomain
@@ -61,31 +61,31 @@ class ContactHessian:
 
     @cached_property
     def _force(self) -> tuple[Vector, Vector]:
-        face = self.face
-        slipping = face.rows.with_slipping_forces(face.multipliers, self.load_step.slip_stiffness)
-        return face.rows.force(slipping)
+        return self.face.rows.force(self.face.multipliers)
 
-    def times(self, change: Change, begin: Sequence[Vector], length: float) -> Vector:
+    def times(
+        self, change: Change, normal: Vector, begin: Sequence[Vector], length: float
+    ) -> Vector:
         """Return E d and E_g d as one vector, by rows at a distance [m]. Collective.
+
+        Friction at its bound follows the changes of normal forces that are given.
 
         Without displacement the bodies begin at their motions.
         """
         load_step, face, nodes = self.load_step, self.face, self.load_step.torn.nodes
         bodies = face.rows.conditions.bodies
         end = face.rows.conditions.motions_after(change.displacements)
-        turned = [b - a for a, b in zip(begin, end, strict=True)]
+        motions = [b - a for a, b in zip(begin, end, strict=True)]
         d = load_step.torn.at_owned_nodes(change.displacements)
-        increment = np.concatenate([d, bodies.as_vector(turned)])
+        increment = np.concatenate([d, bodies.as_vector(motions)])
         largest = largest_of_ranks(nodes.comm, np.abs(increment))
         # without displacement there is no difference, either
         eps = length / (largest or 1.0)
         rows = load_step.rows_at(self.displacement + eps * increment, bodies, face.rows)
-        force, beyond = (
-            (new - old) / eps
-            for new, old in zip(self._forces_at(rows, eps, change), self._force, strict=True)
-        )
+        forces = rows.force(self._multipliers_in(rows, eps * normal))
+        force, beyond = ((new - old) / eps for new, old in zip(forces, self._force, strict=True))
         force = load_step.at_free(force + self._lacking(change.displacements), face.rows)
-        moved = [replace(f, motion=m) for f, m in zip(bodies.frames, turned, strict=True)]
+        moved = [replace(f, motion=m) for f, m in zip(bodies.frames, motions, strict=True)]
         free = replace(bodies, frames=moved).free_displacements(nodes.total)
         contacts, tied = face.contacts, face.rows.tied
         of_contacts = face.distances_of(rows) - self._gap
@@ -94,16 +94,13 @@ class ContactHessian:
         tied_gap = -of_tied / eps - row_values(nodes, tied, d, free) / tied.length
         return self._flat(force, gap, tied_gap, beyond)
 
-    def _forces_at(self, rows: DeformedRows, eps: float, change: Change) -> tuple[Vector, Vector]:
-        """Return forces in other rows; friction where nodes slip follows the normal force."""
+    def _multipliers_in(self, rows: DeformedRows, normal: Vector) -> Multipliers:
+        """Return multipliers in other rows, with friction after changes of normal forces."""
         face, multipliers = self.face, self.face.multipliers
-        normal = multipliers.normal.copy()
-        length = face.rows.contacts.length
-        normal[face.rows.place] += eps * change.forces.normal[: length.size] / length
-        slipping = rows.with_slipping_forces(
-            replace(multipliers, normal=normal), self.load_step.slip_stiffness
-        )
-        return rows.force(replace(slipping, normal=multipliers.normal))
+        changed = multipliers.normal.copy()
+        changed[face.rows.place] += normal / face.rows.contacts.length
+        at_bounds = rows.at_bounds(replace(multipliers, normal=changed))
+        return replace(at_bounds, normal=multipliers.normal)
 
     def _lacking(self, displacements: Sequence[Vector]) -> Vector:
         """Return forces (owned, gdim) of the exact tangents less those used. Collective."""
@@ -160,22 +157,25 @@ class ContactHessian:
         extent = self.load_step.rounding.extent
         length = min(max(size, _SHORTEST * extent), _LONGEST * extent)
         at_rest = conditions.motions_after([np.zeros(s.size) for s in self.used])
-        residual = -self.times(first, conditions.bodies.motions, length)
-        beta, products = self._space.norm(residual), 0
+        # the forces of other rows are those of `first` already
+        rows = self.face.held.size
+        changes = np.where(self.face.held, first.forces.normal[:rows], 0.0)
+        left_out = self.times(first, changes, conditions.bodies.motions, length)
+        beta, products = self._space.norm(left_out), 0
 
         def step(v: Vector) -> tuple[Change, Vector]:
             nonlocal products
             solution = self.linear.approximate(self._data(v), _INNER)
             products += solution.products
             change = Change(solution.displacements, solution.forces)
-            return change, v + self.times(change, at_rest, length)
+            return change, v + self.times(change, change.forces.normal[:rows], at_rest, length)
 
         tolerance = max(rtol * beta, negligible)
-        changes, y, left = gmres(step, residual, self._space, tolerance=tolerance, max_it=_MOST)
-        for factor, change in zip(y, changes, strict=True):
+        parts, y, left = gmres(step, -left_out, self._space, tolerance=tolerance, max_it=_MOST)
+        for factor, change in zip(y, parts, strict=True):
             first = first.plus(float(factor), change)
         left /= max(beta, self._space.norm(right), negligible)
-        return Correction(first, len(changes), products, left)
+        return Correction(first, len(parts), products, left)
 
     def _data(self, v: Vector) -> LinearData:
         """Return loads and jumps of a vector. Collective."""

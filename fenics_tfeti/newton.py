@@ -259,18 +259,22 @@ class NewtonIteration:
         if any_rank(comm, pulling):
             return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
         corrected = Correction(Change.of(solution), 0, 0, 0.0)
-        if not is_last:
+        if any_rank(comm, face.held):
             hessian = ContactHessian(
                 load_step,
                 state.displacement,
-                face,
+                face.with_free_forces(corrected.change.forces, solution.sticking),
                 self.solver.linear_problem(),
                 system.subdomains,
                 prepared.subdomains,
             )
             negligible = 0.1 * options.newton_rtol * state.equilibrium.force
             rtol = max(min(_LOOSEST, _FORCING * state.equilibrium.residual), _TIGHTEST)
-            corrected = hessian.corrected(corrected.change, (force, beyond), rtol, negligible)
+            try:
+                corrected = hessian.corrected(corrected.change, (force, beyond), rtol, negligible)
+            except (InputError, NotConverged):
+                # rows cannot be evaluated near the state
+                return None
             if corrected.left > _FAILED:
                 return None
         free = describe_free_motions(system, solution.active, solution.sticking)

@@ -111,23 +111,17 @@ class DeformedRows:
         friction, normal = self.friction, self.normal_forces(multipliers)
         return friction.bound + np.asarray(friction.coefficient) * normal[friction.row]
 
-    def with_slipping_forces(self, multipliers: Multipliers, stiffness: float) -> Multipliers:
-        """Return multipliers with forces at their bounds, against slip, where nodes slip.
-
-        Their directions are those of t + stiffness * slip, for the forces t that are there.
-        """
+    def at_bounds(self, multipliers: Multipliers) -> Multipliers:
+        """Return multipliers with forces at their bounds, in their directions, where nodes slip."""
         friction, place = self.friction, self.place[self.friction.row]
-        slips = multipliers.slipping[place]
-        if not slips.any():
+        slipping = multipliers.slipping[place]
+        if not slipping.any():
             return multipliers
-        force = self.friction_forces(multipliers)
-        # a slip against its force does not turn it round: the node will stick
-        turns = multipliers.slid[place] & (np.sum(force * self.slip, axis=1) > 0.0)
-        along = force + np.where(turns[:, None], stiffness * self.slip, 0.0)
+        along = unit(self.friction_forces(multipliers))
         traction = self.slip_bounds(multipliers) / self.contacts.length[friction.row]
-        tractions = traction[:, None] * unit(along)
+        vectors = np.einsum("kt,kta->ka", traction[:, None] * along, friction.tangents)
         tangential = multipliers.tangential.copy()
-        tangential[place[slips]] = np.einsum("kt,kta->ka", tractions, friction.tangents)[slips]
+        tangential[place[slipping]] = vectors[slipping]
         return replace(multipliers, tangential=tangential)
 
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:

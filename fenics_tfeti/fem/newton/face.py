@@ -1,7 +1,8 @@
 """The face of a Newton step: contact rows that press hold with equality.
 
 Where nodes press, the row holds whatever the change of its force; where friction holds them, too,
-so do the tangential rows. Where they slip, friction forces are loads. Rows that do not press stay
+so do the tangential rows. Where they slip, friction forces are loads; in three dimensions they may
+turn, and have the bounds of the last forces in the contact problem. Rows that do not press stay
 inequalities, with friction as of the contact problem, so that contact may grow. Unknowns are the
 changes of forces: the tolerance of a linear problem is then relative to what is out of balance.
 """
@@ -49,7 +50,7 @@ class Face:
     multipliers: Multipliers
     held: Mask  # (contact rows,)
     sticks: Mask  # (sites,): at held rows
-    free: Mask  # (sites,): at other rows
+    free: Mask  # (sites,): at other rows, and where forces at their bound may turn
 
     @staticmethod
     def of(rows: DeformedRows, multipliers: Multipliers, negligible: float) -> Face:
@@ -62,10 +63,11 @@ class Face:
         returns = multipliers.slid[at] & (back < -negligible * size)
         slips = multipliers.slipping[at] & ~returns
         sites = held[friction.row]
-        slipping = multipliers.slipping.copy()
-        slipping[at] = slips
-        multipliers = replace(multipliers, slipping=slipping)
-        return Face(rows, multipliers, held, sites & ~slips, ~sites)
+        turns = sites & slips & (friction.tangents.shape[1] > 1)
+        slipping, tangential = multipliers.slipping.copy(), multipliers.tangential.copy()
+        slipping[at], tangential[at[turns]] = slips, 0.0
+        multipliers = replace(multipliers, slipping=slipping, tangential=tangential)
+        return Face(rows, multipliers, held, sites & ~slips, ~sites | turns)
 
     def without(self, released: Mask) -> Face:
         """Return the face where some contact rows are inequalities, with all forces as unknowns."""
@@ -75,6 +77,16 @@ class Face:
         multipliers = replace(self.multipliers, normal=normal, tangential=tangential)
         held, sticks, free = self.held & ~released, self.sticks & ~sites, self.free | sites
         return Face(self.rows, multipliers, held, sticks, free)
+
+    def with_free_forces(self, forces: RowValues, sticking: Mask) -> Face:
+        """Return the face with the forces that are all unknown, of a solution."""
+        rows, multipliers = self.rows, self.multipliers
+        before, slipping = rows.normal_forces(multipliers), multipliers.slipping[rows.place]
+        normal = np.where(self.held, before, forces.normal[: before.size])
+        tangential, slipping = rows.friction_forces(multipliers), slipping[rows.friction.row]
+        tangential[self.free], slipping[self.free] = forces.tangential, ~sticking
+        known = Multipliers.at_rows(rows, normal, tangential, multipliers.tied, slipping)
+        return replace(self, multipliers=known)
 
     def pulling(self, changes: Vector) -> Mask:
         """Tell which held rows would pull after changes of the forces at `contacts`."""
@@ -93,8 +105,17 @@ class Face:
 
     @cached_property
     def friction(self) -> Friction:
-        """Friction at the rows that are inequalities."""
-        return self._friction(self.free)
+        """Friction where forces are all unknown; at rows that hold with the bounds there are."""
+        friction = self._friction(self.free)
+        at_held = self.held[friction.row]
+        bound = np.where(
+            at_held, self.rows.slip_bounds(self.multipliers)[self.free], friction.bound
+        )
+        return replace(
+            friction,
+            bound=bound,
+            coefficient=np.where(at_held, 0.0, np.asarray(friction.coefficient)),
+        )
 
     def distances_of(self, rows: DeformedRows) -> Vector:
         """Return the distances of other rows at the nodes of `contacts`, NaN where there are none.

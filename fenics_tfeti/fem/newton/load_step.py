@@ -84,7 +84,7 @@ class LoadStep:
         rows = self._rows(self.u, bodies, last)
         if not isinstance(multipliers, Multipliers):
             multipliers = Multipliers.from_forces(rows, multipliers)
-        multipliers = rows.with_slipping_forces(multipliers, self.slip_stiffness)
+        multipliers = rows.at_bounds(multipliers)
         internal = -self.torn.torn.load()
         if any_rank(self.torn.nodes.comm, ~np.isfinite(internal)):
             raise NotConverged("the residual F is NaN or infinite")
