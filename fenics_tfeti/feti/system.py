@@ -123,8 +123,9 @@ class Subdomain:
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays; sort the entries of K."""
         _convert(self, load=np.float64, coordinates=np.float64, nodes=np.int64)
-        if self.frame is not None:
-            _convert(self, frame=np.float64)
+        for name in ("frame", "load_size"):
+            if getattr(self, name) is not None:
+                _convert(self, **{name: np.float64})
         _set(self, "body", _integer(self.body))
         K = self.stiffness
         if sp.issparse(K) and K.format == "csr":
@@ -251,7 +252,7 @@ class ContactRows:
         if self.area is None:
             _set(self, "area", np.full(np.shape(self.gap), np.nan))
         _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64, slaves=np.int64)
-        _convert(self, coefficients=np.float64, gap=np.float64, area=np.float64)
+        _convert(self, coefficients=np.float64, gap=np.float64, area=np.float64, held=np.bool_)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
@@ -612,6 +613,10 @@ def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
     return sp.csr_matrix((ones, blocks.indices, blocks.indptr), shape=(nodes, nodes))
 
 
+# kinds of NumPy's types that are converted to a type
+_KINDS: dict[type[np.generic], str] = {np.int64: "i", np.float64: "iuf", np.bool_: "b"}
+
+
 def _convert(part: Any, **dtypes: type[np.generic]) -> None:
     """Convert lists to arrays, integers to int64, integers and shorter floats to float64.
 
@@ -626,7 +631,7 @@ def _convert(part: Any, **dtypes: type[np.generic]) -> None:
         if values.size == 0 and values.dtype == np.float64:
             # an empty list
             values = values.astype(dtype)
-        elif values.dtype.kind in ("i" if integers else "iuf") and values.dtype.itemsize <= 8:
+        elif values.dtype.kind in _KINDS[dtype] and values.dtype.itemsize <= 8:
             values = values.astype(dtype, copy=False)
         elif integers and values.dtype.kind == "u" and values.dtype.itemsize < 8:
             values = values.astype(dtype)

@@ -104,6 +104,7 @@ SUBDOMAIN: list[Mistake] = [
     (first(load=lambda f: f + 0j), "load of subdomain 0", "complex128", "float64"),
     (first(load=None), "load of subdomain 0", "NoneType", "(192,)"),
     (first(load=at(5, np.nan)), "load of subdomain 0", "1 of 192", "NaN", "traction"),
+    (first(load_size=np.zeros(5)), "load_size of subdomain 0", "(5,)", "expected (192,)"),
     (first(coordinates=lambda x: x[:, 1:]), "coordinates of", "(64, 2)", "expected (64, 3)"),
     (first(coordinates=at((5, 1), np.inf)), "coordinates of subdomain 0", "1 of 192", "infinite"),
     (first(frame=np.eye(5)), "frame of subdomain 0", "(5, 5)", "expected (3, 3)"),
@@ -140,6 +141,8 @@ CONTACTS: list[Mistake] = [
     (rows(coefficients=at(4, np.nan)), "contacts.coefficients", "NaN"),
     (rows(gap=at(4, -np.inf)), "contacts.gap", "1 of 16", "NaN or -inf", "+inf"),
     (rows(gap=at(4, np.nan)), "contacts.gap", "1 of 16", "NaN"),
+    (rows(held=lambda h: h.astype(int)), "contacts.held", "int64", "truth values", "numpy.bool"),
+    (rows(held=lambda h: h[1:]), "contacts.held", "(15,)", "expected (16,)"),
     (rows(contact=at(4, -1)), "contacts.contact", "-1"),
     (rows(contact=at(4, 10**9)), "contacts.contact", "1000000000", "16 contact rows", "0, 1, ..."),
 ]

@@ -245,6 +245,8 @@ def _check_subdomain(name: str, subdomain: Subdomain, gdim: int) -> None:
     _check_finite(f"coordinates of {name}", subdomain.coordinates)
     _check_finite(f"load of {name}", subdomain.load, "Check tractions and body forces")
     _check_format(f"stiffness of {name}", subdomain.stiffness, n)
+    if subdomain.load_size is not None:
+        _check_fields(label, subdomain, np.float64, load_size=(n,))
     if subdomain.frame is not None:
         _check_fields(label, subdomain, np.float64, frame=(gdim, gdim))
         error = float(np.abs(subdomain.frame @ subdomain.frame.T - np.eye(gdim)).max())
@@ -401,6 +403,7 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     _check_fields(label, rows, np.int64, contact=(k,), slaves=(k,), **shapes)
     _check_range(f"{what}.contact", rows.contact, np.iinfo(np.int64).max)
     _check_fields(label, rows, np.float64, area=(k,))
+    _check_fields(label, rows, np.bool_, held=(k,))
     if np.any(np.asarray(rows.area) < 0.0) or np.any(np.isinf(np.asarray(rows.area))):
         raise InputError(
             f"{what}.area: an area is finite and at least 0; NaN stands for the length"
@@ -528,7 +531,8 @@ def _kind(value: Any) -> str:
 
 
 def _numbers(dtype: type[np.generic]) -> str:
-    return "integers (int64)" if issubclass(dtype, np.integer) else "numbers (float64)"
+    words = {np.int64: "integers (int64)", np.bool_: "truth values (bool)"}
+    return words.get(dtype, "numbers (float64)")
 
 
 def _shape(shape: Shape) -> str:

@@ -26,8 +26,18 @@ from fenics_tfeti.parallel import raise_collectively
 Arrays = dict[str, NDArray[Any]]
 
 _FORMAT = "fenics_tfeti torn system 1"
-_SUBDOMAIN = ("matrix", "load", "coordinates", "nodes", "body", "frame", "kernel", "motions")
-_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves", "area")
+_SUBDOMAIN = (
+    "matrix",
+    "load",
+    "coordinates",
+    "nodes",
+    "body",
+    "frame",
+    "kernel",
+    "motions",
+    "load_size",
+)
+_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves", "area", "held")
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
@@ -120,6 +130,7 @@ def _parts_of_subdomains(system: TornSystem) -> tuple[list[Arrays], list[Arrays]
                 "body": np.array(s.body),
                 **({} if s.frame is None else {"frame": s.frame}),
                 **_kernel(s),
+                **({} if s.load_size is None else {"load_size": s.load_size}),
             }
         )
     return stored, subdomains
@@ -252,6 +263,7 @@ def _subdomain(
         file.integer(f"{path}/body"),
         file.optional(f"{path}/frame", "numbers", (gdim, gdim)),
         kernel if motions is None else motions,
+        file.optional(f"{path}/load_size", "numbers", (n,)),
     )
 
 
@@ -297,7 +309,8 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
     contact = file.read(f"{part}/contact", "integers", gap.shape)
     slaves = file.optional(f"{part}/slaves", "integers", gap.shape)
     area = file.optional(f"{part}/area", "numbers", gap.shape)
-    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area)
+    held = file.optional(f"{part}/held", "truth values", gap.shape)
+    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area, held)
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
 
 

@@ -37,10 +37,12 @@ def everything() -> TornSystem:
     """Return a system in which every field of every part has other values than by default."""
     system = column(n=2, height=2)
     rows, second = system.contacts, 10**9
-    upper = dataclasses.replace(system.subdomains[-1], frame=np.eye(3)[[1, 2, 0]])
+    upper = system.subdomains[-1]
+    upper = dataclasses.replace(upper, frame=np.eye(3)[[1, 2, 0]], load_size=2.0 + upper.load**2)
     side = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.5)][:2]
     tied = ContactRows.node_to_node(side, [-1, -1], np.tile([1.0, 0, 0], (2, 1)), [0, 0], [1, 1])
-    two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf))
+    is_held = np.arange(rows.size) == 1
+    two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf), held=is_held)
     rubbing = np.arange(0, rows.size, 2)
     tangents = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (rubbing.size, 1, 1))
     friction = Friction(rubbing, tangents, 0.1 + rubbing, 1e-3 * np.ones((rubbing.size, 2)))
