@@ -19,6 +19,7 @@ from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multi
 from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import Friction
+from fenics_tfeti.feti.solution.linear import RowValues
 from fenics_tfeti.models import neo_hookean
 
 # the rows of the contacts
@@ -45,19 +46,17 @@ def blocks():
 
 
 def test_forces_of_nodes_that_slip(blocks):
-    """At the bound; in the direction of slip where that is not against the force."""
+    """They are at the bounds, in their directions."""
     rows = blocks[1]
     site = OBSTACLE
     tangents = np.tile([[[1.0, 0.0]]], (3, 1, 1))
-    slip = -np.array([[0.1], [-0.1], [0.1]])
-    friction = Friction(site, tangents, np.zeros(3), slip, np.full(3, 0.5))
+    friction = Friction(site, tangents, np.zeros(3), np.zeros((3, 1)), np.full(3, 0.5))
     rows, given = replace(rows, friction=friction), Multipliers.none(rows)
     given.normal[site] = 4.0
-    given.tangential[site, 0] = [1.0, 1.0, 1.5]
-    slips = np.isin(np.arange(9), site[:2])
-    given = replace(given, slipping=slips, slid=slips)
-    after = rows.with_slipping_forces(given, 10.0)
-    np.testing.assert_allclose(after.tangential[site, 0], [2.0, 2.0, 1.5])
+    given.tangential[site, 0] = [1.0, -3.0, 1.5]
+    given = replace(given, slipping=np.isin(np.arange(9), site[:2]))
+    after = rows.at_bounds(given)
+    np.testing.assert_allclose(after.tangential[site, 0], [2.0, -2.0, 1.5])
 
 
 @pytest.mark.parametrize(("slid", "is_held"), [(True, True), (False, False)])
@@ -83,8 +82,10 @@ def test_face_after_changes_of_forces(blocks):
     face, change = Face.of(rows, given, 0.0), np.zeros(9)
     change[:3] = -1.0, -5.0, 2.0
     assert face.pulling(change).tolist() == [False, True] + 7 * [False]
-    after = face.after(change, np.zeros(0), np.zeros((0, 1)), face.held, np.zeros(0, dtype=bool))
-    np.testing.assert_allclose(rows.normal_forces(after)[:4], [3.0, 0.0, 2.0, 0.0])
+    changes = RowValues(change, np.zeros((0, 1)), np.zeros(0))
+    for part, expected in ((1.0, [3.0, 0.0, 2.0, 0.0]), (0.5, [3.5, 1.5, 1.0, 0.0])):
+        after = face.after(changes, part, face.held, np.zeros(0, dtype=bool))
+        np.testing.assert_allclose(rows.normal_forces(after)[:4], expected)
     assert not face.without(face.held).multipliers.normal.any()
 
 

@@ -1,0 +1,51 @@
+"""Few Newton steps a load step: pressing conditions hold with equality, contact has its Hessian."""
+
+import numpy as np
+import pytest
+from finite_strains import indented_block, pressed_patch, squeezed_block
+
+from fenics_tfeti import Coulomb, Plane
+
+ACCURATE = {"newton_rtol": 1e-8, "subdomain_size": 60}
+
+
+def steps_of(scene, loads):
+    """Return the Newton steps of each load step."""
+    counts = []
+    for load in loads:
+        scene.solve([load])
+        counts.append(scene.counts()[0])
+    return counts
+
+
+def test_block_under_a_plane():
+    """Rubber, pressed to half of its height: as few steps as with prescribed displacements."""
+    down = {"now": 0.0}
+
+    def plane(x):
+        return Plane((0.0, 1.0 - down["now"]), (0.0, -1.0))(x)
+
+    scene, counts = indented_block(n=4, nu=0.45, obstacle=plane, **ACCURATE), []
+    for down["now"] in (0.1, 0.2, 0.3, 0.4, 0.5):
+        counts += steps_of(scene, [1.0])
+    assert max(counts) <= 6
+
+
+def test_block_that_contact_alone_holds():
+    scene, _ = squeezed_block(2, 4, **ACCURATE)
+    assert max(steps_of(scene, np.linspace(0.25, 1.0, 4))) <= 5
+
+
+@pytest.mark.parametrize("size", [20, 60, 3000])
+def test_steps_do_not_depend_on_the_partition(size):
+    """Of a pair, whose forces turn and move with both surfaces."""
+    scene, _ = pressed_patch(0.4, False, newton_rtol=1e-8, subdomain_size=size)
+    assert max(steps_of(scene, [0.25, 0.5, 0.75, 1.0])) <= 6
+
+
+def test_forces_that_turn():
+    """In three dimensions friction has two directions."""
+    scene, _ = pressed_patch(
+        0.1, False, cell="hexahedron", motion=20.0, friction=Coulomb(0.05), **ACCURATE
+    )
+    assert max(steps_of(scene, [0.5, 1.0])) <= 8
