@@ -23,7 +23,8 @@ from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep
 from fenics_tfeti.feti import Subdomain
-from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem, RowValues
+from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem
+from fenics_tfeti.feti.system import RowValues
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import Space
 from fenics_tfeti.qp.gmres import gmres

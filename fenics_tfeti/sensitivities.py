@@ -49,9 +49,9 @@ from fenics_tfeti.fem.sensitivity.forms import (
 )
 from fenics_tfeti.fem.sensitivity.supports import prescribed_entries
 from fenics_tfeti.fem.torn_problem import TornProblem
-from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem, LinearSolution, RowValues
+from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem, LinearSolution
 from fenics_tfeti.feti.solver import TornSolution
-from fenics_tfeti.feti.system import Friction, TornSystem
+from fenics_tfeti.feti.system import Friction, RowValues, TornSystem
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import (
     any_rank,

@@ -613,6 +613,31 @@ def node_graph(stiffness: sp.csr_matrix, gdim: int) -> sp.csr_matrix:
     return sp.csr_matrix((ones, blocks.indices, blocks.indptr), shape=(nodes, nodes))
 
 
+@dataclass(frozen=True)
+class RowValues:
+    """Values of the conditions that this rank gave."""
+
+    normal: Vector  # (contact rows,)
+    tangential: Vector  # (sites, gdim - 1), along the tangents
+    tied: Vector  # (tied rows,)
+
+    def plus(self, factor: float, other: RowValues) -> RowValues:
+        """Return the sum with a multiple of others."""
+        return RowValues(
+            self.normal + factor * other.normal,
+            self.tangential + factor * other.tangential,
+            self.tied + factor * other.tied,
+        )
+
+    @staticmethod
+    def zeros(system: TornSystem) -> RowValues:
+        """Return zeros for the conditions of a system."""
+        sites = system.friction.size, system.gdim - 1
+        return RowValues(
+            np.zeros(system.contacts.size), np.zeros(sites), np.zeros(system.tied.size)
+        )
+
+
 # kinds of NumPy's types that are converted to a type
 _KINDS: dict[type[np.generic], str] = {np.int64: "i", np.float64: "iuf", np.bool_: "b"}
 

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Equilibrium, Multi
 from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import Friction
-from fenics_tfeti.feti.solution.linear import RowValues
+from fenics_tfeti.feti.system import RowValues
 from fenics_tfeti.models import neo_hookean
 
 # the rows of the contacts

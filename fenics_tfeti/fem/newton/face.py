@@ -17,8 +17,7 @@ import numpy as np
 
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.feti import TornSolution
-from fenics_tfeti.feti.solution.linear import RowValues
-from fenics_tfeti.feti.system import ContactRows, Friction
+from fenics_tfeti.feti.system import ContactRows, Friction, RowValues
 from fenics_tfeti.typing import Mask, Vector
 
 

@@ -37,7 +37,7 @@ from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.scale import ROUGH_LANCZOS_STEPS
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import Candidate
-from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.system import RowValues, TornSystem
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import Products, balls
@@ -54,31 +54,6 @@ class LinearData:
     loads: Sequence[Vector]  # (n_i,) of this rank's subdomains [N]
     jumps: RowValues  # [m]
     forces: RowValues  # [N]
-
-
-@dataclass(frozen=True)
-class RowValues:
-    """Values of the conditions that this rank gave."""
-
-    normal: Vector  # (contact rows,)
-    tangential: Vector  # (sites, gdim - 1), along the tangents
-    tied: Vector  # (tied rows,)
-
-    def plus(self, factor: float, other: RowValues) -> RowValues:
-        """Return the sum with a multiple of others."""
-        return RowValues(
-            self.normal + factor * other.normal,
-            self.tangential + factor * other.tangential,
-            self.tied + factor * other.tied,
-        )
-
-    @staticmethod
-    def zeros(system: TornSystem) -> RowValues:
-        """Return zeros for the conditions of a system."""
-        sites = system.friction.size, system.gdim - 1
-        return RowValues(
-            np.zeros(system.contacts.size), np.zeros(sites), np.zeros(system.tied.size)
-        )
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ import pytest
 from torn import Glued, column, node_rows, with_fields, with_prescribed
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.solution.linear import LinearData, RowValues
+from fenics_tfeti.feti.solution.linear import LinearData
+from fenics_tfeti.feti.system import RowValues
 
 RTOL = 1e-10
 
