@@ -12,6 +12,7 @@ import basix
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.mortar.facets import cross
 from fenics_tfeti.fem.reference_cells import (
     ReferenceCell,
     lagrange_points,
@@ -110,12 +111,12 @@ class CellFaces:
     def weighted_normals(self, rows: Numbers | slice = slice(None)) -> Vector:
         """Return the outward normals n dS (k, f, q, d) at the points of the facets' rule."""
         x, rule = self._coordinates(rows), self.rule
+        is_affine = self.kind.is_simplex and self._geometry == 1
         weighted = []
         for points, normal in zip(rule.points, rule.normals, strict=True):
-            J = self._jacobians(x, points)
-            directions = np.linalg.solve(np.swapaxes(J, -1, -2), normal[:, None])[..., 0]
-            sizes = np.abs(np.linalg.det(J)) * rule.weights
-            weighted.append(directions * sizes[..., None])
+            J = self._jacobians(x, points[:1] if is_affine else points)
+            normals = _along_areas(J, normal)
+            weighted.append(normals * rule.weights[:, None])
         return np.stack(weighted, axis=1)
 
     def volumes(self) -> Vector:
@@ -133,3 +134,20 @@ class CellFaces:
         """Return the derivatives (k, q, d, d) of places by coordinates of the reference cell."""
         gradients = shape_gradients(self.kind.name, self._geometry, points)
         return np.stack([np.matmul(D, x) for D in gradients], axis=-1)
+
+
+def _along_areas(J: Vector, normal: Vector) -> Vector:
+    """Return n dS (..., d) for derivatives J (..., d, d) of places, by that of the reference cell.
+
+    It is |det J| J^{-T} normal, by the cofactors of J.
+    """
+    if J.shape[-1] == 2:
+        (a, b), (c, e) = np.moveaxis(J, (-2, -1), (0, 1))
+        det = a * e - b * c
+        turned = np.stack([e * normal[0] - c * normal[1], a * normal[1] - b * normal[0]], axis=-1)
+        return np.asarray(np.sign(det)[..., None] * turned)
+    columns = [J[..., k] for k in range(3)]
+    crossed = [cross(columns[k - 2], columns[k - 1]) for k in range(3)]
+    det = np.sum(columns[0] * crossed[0], axis=-1)
+    turned = sum(crossed[k] * normal[k] for k in range(3))
+    return np.asarray(np.sign(det)[..., None] * turned)

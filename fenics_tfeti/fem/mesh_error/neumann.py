@@ -9,8 +9,10 @@ import numpy as np
 
 import ufl
 
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import prepare_form
+from fenics_tfeti.fem.mesh_error.cell_loops import products
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.fem.topology import batches, exterior_cell_facets
@@ -89,18 +91,22 @@ class NeumannProblems:
         g, solution = np.zeros((rows.size, s, v)), np.zeros(rows.size)
         for batch in batches(rows.size, max(1, _ENTRIES // self.lift.size)):
             chosen = rows[batch]
-            A, internal, energy = self._internal(chosen, u[chosen])
+            A, internal, energy = self._internal(chosen, u[batch])
             solution[batch] = energy
-            load = self._external(chosen, moments[chosen]) - internal
-            G = self._products(A, load, chosen)
-            Q[batch], g[batch] = G[:, :s, :s], G[:, :s, s:]
-            c[batch] = np.diagonal(G[:, s:, s:], axis1=1, axis2=2)
+            load = self._external(chosen, moments[batch]) - internal
+            self._hold_motions(A, chosen)
+            held = products(A, self.lift, load, (Q[batch], g[batch], c[batch]))
+            if held < chosen.size:
+                middle = self._faces.node_points(1, chosen[held : held + 1]).mean(axis=1)[0]
+                raise InputError(
+                    "the error of the mesh cannot be estimated: the bilinear form of the cell at "
+                    f"{format_point(middle)} alone is not positive but for rigid motions"
+                )
         return CellEnergies(Q, g, c, solution)
 
     def loads(self, rows: Numbers, u: Vector, moments: Vector) -> Vector:
         """Return the loads (k, w, v) of the problems of some cells [N]."""
-        internal = self._internal(rows, u[rows])[1]
-        return self._external(rows, moments[rows]) - internal
+        return self._external(rows, moments) - self._internal(rows, u)[1]
 
     def _internal(self, rows: Numbers, u: Vector) -> tuple[Vector, Vector, Vector]:
         """Return stiffness matrices, internal forces (k, w, 1), and energies a(u, u)."""
@@ -114,18 +120,18 @@ class NeumannProblems:
         on_facets = moments.reshape(rows.size, self.lift.shape[1], -1)
         return load[:, :, None] + self.lift @ on_facets
 
-    def _products(self, A: Vector, load: Vector, rows: Numbers) -> Vector:
-        """Return B'A^+ B (k, s + v, s + v) for the lifts and the loads of cells."""
+    def _hold_motions(self, A: Vector, rows: Numbers) -> None:
+        """Add stiffness against the rigid motions of cells, which loads in balance do not move."""
         scale = np.trace(A, axis1=1, axis2=2)
-        R = rigid_motions(self._faces.node_points(self._degree, rows))
+        x = self._faces.node_points(self._degree, rows)
+        R = rigid_motions(x)
+        energy = R.transpose(0, 2, 1) @ A @ R
+        limit = _RESISTED * scale
         # springs and axisymmetric forms leave fewer motions free
-        energy, modes = np.linalg.eigh(R.transpose(0, 2, 1) @ A @ R)
-        R = (R @ modes) * (energy < _RESISTED * scale[:, None])[:, None, :]
-        A = A + (scale / A.shape[1])[:, None, None] * (R @ R.transpose(0, 2, 1))
-        lift = np.broadcast_to(self.lift, (rows.size, *self.lift.shape))
-        B = np.concatenate([lift, load], axis=2)
-        B = B - R @ (R.transpose(0, 2, 1) @ B)
-        return np.asarray(B.transpose(0, 2, 1) @ np.linalg.solve(A, B))
+        if (resisted := np.abs(energy).max(axis=(1, 2)) >= limit).any():
+            values, modes = np.linalg.eigh(energy[resisted])
+            R[resisted] = (R[resisted] @ modes) * (values < limit[resisted, None])[:, None, :]
+        A += (scale / A.shape[1])[:, None, None] * (R @ R.transpose(0, 2, 1))
 
 
 def _raised(form: ufl.Form) -> ufl.Form:

@@ -1,10 +1,10 @@
-"""Better tractions between cells, by conjugate gradients preconditioned with rings of cells.
+"""Better tractions between cells, by conjugate gradients preconditioned with facets and rings.
 
 Any change of the moments without a resultant on a cell leaves it in equilibrium, and the sum of the
 cells' energies a bound; a few steps of conjugate gradients make it smaller. The preconditioner is
-additive: a ring are the cells around a vertex in two dimensions, around an edge in three. Its
-unknowns are the tractions without resultant on each of its facets, and the forces and moments that
-pass once around a closed ring.
+additive: its unknowns are the tractions without resultant on each facet, and for each ring of cells,
+around a vertex in two dimensions, around an edge in three, the forces and moments that pass once
+around it. Where a ring ends at supports, they are all changes without a resultant on its cells.
 """
 
 from __future__ import annotations
@@ -13,17 +13,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 import basix
 
-from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
+from fenics_tfeti.fem.mesh_error.cell_loops import add_energies
+from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.neumann import CellEnergies, axes, rotations
 from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
-# numbers in the matrices of the rings that are inverted at once
+# numbers in the matrices of rings that are inverted at once
 _ENTRIES = 2**20
-# stiffness added to a ring, relative to its mean: changes of moments may have no energy
+# stiffness added to a block, relative to its mean: changes of moments may have no energy
 _SHIFT = 1e-8
 # how forces pass a ring
 _CLOSED, _OPEN, _CUT = 0, 1, 2
@@ -32,12 +34,13 @@ _SINGULAR = 1e-9
 
 
 @dataclass(frozen=True)
-class RingBlock:
-    """Blocks of rings with the same numbers of facets and unknowns."""
+class Block:
+    """Blocks of the preconditioner with the same numbers of facets and unknowns."""
 
     facets: Numbers  # (r, j)
     basis: Vector  # (r, j * m, z): changes of the moments
     inverse: Vector  # (r, z, z): of their energy
+    sums: sp.csr_matrix  # (facets, r * j): of values at the blocks' facets
 
 
 @dataclass(frozen=True)
@@ -57,14 +60,16 @@ class FacetMap:
     def __init__(self, faces: CellFaces, rows: Numbers, free: Mask) -> None:
         """Take g cells, and the moments (g, f, d) on their facets that may change."""
         d, nodes = faces.dim, faces.facet_nodes(rows)
-        t = nodes.shape[2]
+        g, f, t = nodes.shape
         _, numbers = np.unique(faces.facets[rows], return_inverse=True)
-        self.facets: Numbers = numbers.reshape(faces.facets[rows].shape)  # (g, f)
+        self.facets: Numbers = numbers.reshape(g, f)
         self.count, self.moments = int(self.facets.max(initial=-1)) + 1, t * d
         order = np.argsort(nodes, axis=2)
-        self.order = (order[..., None] * d + np.arange(d)).reshape(*self.facets.shape, t * d)
-        first = np.full(self.count, rows.size)
-        cell = np.broadcast_to(np.arange(rows.size)[:, None], self.facets.shape)
+        # places of a facet's moments among those of a cell
+        of_facet = (order[..., None] * d + np.arange(d)).reshape(g, f, t * d)
+        self.places: Numbers = of_facet + t * d * np.arange(f)[:, None]
+        first = np.full(self.count, g)
+        cell = np.broadcast_to(np.arange(g)[:, None], (g, f))
         np.minimum.at(first, self.facets, cell)
         self.is_single: Mask = np.bincount(self.facets.ravel(), minlength=self.count) == 1
         self.sign: Vector = np.where(first[self.facets] == cell, 1.0, -1.0)
@@ -74,23 +79,36 @@ class FacetMap:
         x = faces.node_points(faces.degree, rows)[:, faces.closure]
         self.points = np.zeros((self.count, t, d))
         self.points[self.facets] = np.take_along_axis(x, order[..., None], axis=2)
+        self._sides = self._matrix()
+
+    def _matrix(self) -> sp.csr_matrix:
+        """Return the matrix (g * f * m, facets * m) from facets to the sides of cells."""
+        g, f, m = self.places.shape
+        columns = np.empty((g, f * m), dtype=np.int32)
+        of_facets = m * self.facets[..., None] + np.arange(m)
+        np.put_along_axis(columns, self.places.reshape(g, -1), of_facets.reshape(g, -1), axis=1)
+        values = np.repeat(self.sign.ravel(), m)
+        ends = np.arange(columns.size + 1)
+        return sp.csr_matrix((values, columns.ravel(), ends), (columns.size, self.count * m))
 
     def to_facets(self, values: Vector) -> Vector:
         """Sum up values (g, f * m, v) of cells on facets (facets, m, v)."""
-        total = np.zeros((self.count, self.moments, values.shape[2]))
-        values = values.reshape(*self.order.shape, -1)
-        for f in range(self.facets.shape[1]):
-            ordered = np.take_along_axis(values[:, f], self.order[:, f, :, None], axis=1)
-            add_rows(total, self.facets[:, f], self.sign[:, f, None, None] * ordered)
-        return total
+        v = values.shape[2]
+        return np.asarray(self._sides.T @ values.reshape(-1, v)).reshape(-1, self.moments, v)
 
     def to_cells(self, values: Vector) -> Vector:
         """Return values (facets, m, v) from the sides of the cells (g, f * m, v)."""
-        cells = np.zeros((*self.order.shape, values.shape[2]))
-        for f in range(self.facets.shape[1]):
-            own = self.sign[:, f, None, None] * values[self.facets[:, f]]
-            np.put_along_axis(cells[:, f], self.order[:, f, :, None], own, axis=1)
-        return cells.reshape(len(cells), -1, values.shape[2])
+        v = values.shape[2]
+        return np.asarray(self._sides @ values.reshape(-1, v)).reshape(len(self.facets), -1, v)
+
+    def cells(self) -> tuple[Numbers, Numbers]:
+        """Return the one or two cells (facets, 2) at each facet, or -1, and its number in them."""
+        order = np.argsort(self.facets.ravel(), kind="stable")
+        first = np.searchsorted(self.facets.ravel()[order], np.arange(self.count))
+        at = order[np.stack([first, first + np.where(self.is_single, 0, 1)], axis=1)]
+        cell, local = np.divmod(at, self.facets.shape[1])
+        cell[self.is_single, 1] = -1
+        return cell, local
 
 
 def improved_energies(
@@ -101,33 +119,38 @@ def improved_energies(
     `free` (g, f, d) are the moments that may change: none between these cells and others.
     """
     facets = FacetMap(faces, rows, free)
-    blocks = list(_blocks(facets, list(_rings(faces, rows)), energies.matrix))
+    blocks = list(_blocks(facets, _rings(faces, rows), energies.matrix))
     g, Q = energies.gradient, energies.matrix
     dm, Qdm, r = np.zeros_like(g), np.zeros_like(g), -facets.to_facets(g)
     history, p, old = [energies.constant], np.zeros_like(r), np.ones(g.shape[2])
     for _ in range(steps):
         z = _preconditioned(blocks, r)
-        rho = np.sum(r * z, axis=(0, 1))
+        rho = _dots(r, z)
         p = z + rho / old * p
         old = np.where(rho > 0.0, rho, 1.0)
         pc = facets.to_cells(p)
         Qp = Q @ pc
-        curvature = np.sum(pc * Qp, axis=(0, 1))
+        curvature = _dots(pc, Qp)
         alpha = np.where(curvature > 0.0, rho / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         dm, Qdm, r = dm + alpha * pc, Qdm + alpha * Qp, r - alpha * facets.to_facets(Qp)
-        change = 2.0 * np.sum(g * dm, axis=1) + np.sum(dm * Qdm, axis=1)
+        change = np.einsum("ksv,ksv->kv", dm, 2.0 * g + Qdm)
         history.append(energies.constant + change)
     return history
 
 
-def _preconditioned(blocks: list[RingBlock], r: Vector) -> Vector:
-    total = np.zeros_like(r)
+def _preconditioned(blocks: list[Block], r: Vector) -> Vector:
+    total = np.zeros((len(r), r[0].size))
     for block in blocks:
         n, j = block.facets.shape
         local = r[block.facets].reshape(n, -1, r.shape[2])
         y = block.basis @ (block.inverse @ (block.basis.transpose(0, 2, 1) @ local))
-        add_rows(total, block.facets.ravel(), y.reshape(n * j, -1))
-    return total
+        total += block.sums @ y.reshape(n * j, -1)
+    return total.reshape(r.shape)
+
+
+def _dots(x: Vector, y: Vector) -> Vector:
+    """Return the products (v,) of the columns of x and y (k, m, v)."""
+    return np.array([np.vdot(x[..., i], y[..., i]) for i in range(x.shape[2])])
 
 
 def _rings(faces: CellFaces, rows: Numbers) -> Iterator[Rings]:
@@ -150,11 +173,14 @@ def _rings(faces: CellFaces, rows: Numbers) -> Iterator[Rings]:
         yield Rings(cell[pairs], at_entity[local[pairs]])
 
 
-def _blocks(facets: FacetMap, rings: list[Rings], Q: Vector) -> Iterator[RingBlock]:
-    """Yield the blocks of all rings, equally large ones at once."""
+def _blocks(facets: FacetMap, rings: Iterator[Rings], Q: Vector) -> Iterator[Block]:
+    """Yield the blocks of all facets and rings, equally large ones at once."""
     statics = _Statics(facets)
-    f = facets.facets.shape[1]
-    Q = Q.reshape(len(Q), f, facets.moments, f, facets.moments)
+    may_change = facets.free.all(axis=1)[:, None, None]
+    cell, local = facets.cells()
+    of_facets = np.arange(facets.count)[:, None]
+    basis = (statics.without * may_change)[:, None]
+    yield from _inverted(facets, of_facets, Rings(cell, local[..., None]), basis, Q)
     for ring in rings:
         of_ring = facets.facets[ring.cells[..., None], ring.local].reshape(len(ring.cells), -1)
         of_ring = np.sort(of_ring, axis=1)
@@ -162,12 +188,40 @@ def _blocks(facets: FacetMap, rings: list[Rings], Q: Vector) -> Iterator[RingBlo
         number = np.count_nonzero(is_new, axis=1)
         passed = _passes(facets, ring, number)
         for j, how in np.unique(np.column_stack([number, passed]), axis=0):
+            if how == _CUT:
+                continue
             same = np.flatnonzero((number == j) & (passed == how))
             for batch in batches(same.size, max(1, _ENTRIES // int(j * facets.moments) ** 2)):
                 chosen = same[batch]
                 own = of_ring[chosen][is_new[chosen]].reshape(-1, j)
                 part = Rings(ring.cells[chosen], ring.local[chosen])
-                yield from _RingBasis(facets, statics, part, own, int(how)).inverted(Q)
+                changes = _RingChanges(facets, statics, part, own)
+                basis = changes.closed() if how == _CLOSED else changes.open()
+                yield from _inverted(facets, own, part, basis, Q)
+
+
+def _inverted(
+    facets: FacetMap, own: Numbers, at: Rings, basis: Vector, Q: Vector
+) -> Iterator[Block]:
+    """Yield the blocks of changes (r, j, m, z) on facets (r, j), where they have energy."""
+    (r, j, m, z), energy = basis.shape, np.zeros((len(basis), *2 * basis.shape[-1:]))
+    if not basis.size:
+        return
+    cells = at.cells[..., None]
+    place = (facets.facets[cells, at.local][..., None] == own[:, None, None, :]).argmax(axis=3)
+    sign, places = facets.sign[cells, at.local], facets.places[cells, at.local]
+    add_energies(energy, at.cells, places, place, sign, basis, Q)
+    trace = np.trace(energy, axis1=1, axis2=2)
+    live = trace > 0.0
+    if live.any():
+        energy = energy[live]
+        # changes without energy have no gradient
+        energy[:, np.arange(z), np.arange(z)] += _SHIFT * trace[live, None] / z
+        own = own[live]
+        ends = np.arange(own.size + 1)
+        sums = sp.csc_matrix((np.ones(own.size), own.ravel(), ends), (facets.count, own.size))
+        basis = basis[live].reshape(-1, j * m, z)
+        yield Block(own, basis, np.linalg.inv(energy), sums.tocsr())
 
 
 def _passes(facets: FacetMap, rings: Rings, number: Numbers) -> Numbers:
@@ -191,30 +245,27 @@ class _Statics:
         self.length = arms.max(initial=0.0) or 1.0
         forces = np.tile(np.eye(d), (len(x), x.shape[1], 1))
         moments = rotations(x) / self.length
-        # (facets, resultants, m)
-        self.of_facets = np.concatenate([forces, moments], axis=2).transpose(0, 2, 1)
-        self.number = self.of_facets.shape[1]
+        # (facets, m, resultants)
+        resultants = np.concatenate([forces, moments], axis=2)
+        self.number = n = resultants.shape[2]
+        self.of_facets = resultants.transpose(0, 2, 1)
         # tractions without a resultant, and those with unit ones
-        self.without = np.linalg.svd(self.of_facets)[2][:, self.number :].transpose(0, 2, 1)
-        self.unit = np.linalg.pinv(self.of_facets)
+        Q, R = np.linalg.qr(resultants, mode="complete")
+        self.without = Q[:, :, n:]
+        self.unit = Q[:, :, :n] @ np.linalg.inv(R[:, :n]).transpose(0, 2, 1)
 
 
-class _RingBasis:
-    """Changes of the moments on the facets of r rings without resultant on any of their cells."""
+class _RingChanges:
+    """Changes of the moments on the j facets of r rings without resultant on any of their cells."""
 
-    def __init__(
-        self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers, how: int
-    ) -> None:
-        self._facets, self._statics, self._rings, self._own = facets, statics, rings, of_ring
-        cells, local = rings.cells, rings.local
-        own = facets.facets[cells[..., None], local]
+    def __init__(self, facets: FacetMap, statics: _Statics, rings: Rings, of_ring: Numbers) -> None:
+        self._facets, self._statics, self._own = facets, statics, of_ring
+        own = facets.facets[rings.cells[..., None], rings.local]
         # place (r, c, 2) of the facets of each cell among those of the ring
         self._place = (own[..., None] == of_ring[:, None, None, :]).argmax(axis=3)
-        self._sign = facets.sign[cells[..., None], local]
+        self._sign = facets.sign[rings.cells[..., None], rings.local]
         middle = statics.middle[of_ring]
         self._arm = (middle - middle.mean(axis=1, keepdims=True)) / statics.length
-        make = {_CLOSED: self._closed, _OPEN: self._open, _CUT: self._cut}[how]
-        self.basis: Vector = make()  # (r, j, m, z)
 
     def _shifted(self, matrix: Vector, j: int) -> Vector:
         """Return resultants (r, n, m) on a facet about the middle of the ring."""
@@ -224,21 +275,16 @@ class _RingBasis:
             about[:, d + q] -= self._arm[:, j, b, None] * matrix[:, a]
         return about
 
-    def _closed(self) -> Vector:
-        """Return tractions without resultant on each facet, and those that pass once around."""
+    def closed(self) -> Vector:
+        """Return the changes (r, j, m, n) of unit forces and moments that pass once around."""
         statics, (r, j) = self._statics, self._own.shape
-        n, free = statics.number, statics.without.shape[2]
-        m = self._facets.moments
-        Z = np.zeros((r, j, m, j * free + n))
+        Z = np.zeros((r, j, self._facets.moments, statics.number))
         sense = self._senses()
-        back = np.tile(np.eye(n), (r, 1, 1))
+        back = np.tile(np.eye(statics.number), (r, 1, 1))
         for k in range(j):
-            Z[:, k, :, k * free : (k + 1) * free] = statics.without[self._own[:, k]]
             # unit resultants about the middle of the ring, by those about the facet's
             shift = 2.0 * back - self._shifted(back, k)
-            Z[:, k, :, j * free :] = sense[:, k, None, None] * (
-                statics.unit[self._own[:, k]] @ shift
-            )
+            Z[:, k] = sense[:, k, None, None] * (statics.unit[self._own[:, k]] @ shift)
         return Z
 
     def _senses(self) -> Vector:
@@ -255,19 +301,8 @@ class _RingBasis:
                     sense[every, b] = np.where(sense[every, b] == 0.0, new, sense[every, b])
         return sense
 
-    def _cut(self) -> Vector:
-        """Return tractions without resultant on each facet that may change."""
-        statics, (r, j) = self._statics, self._own.shape
-        free = statics.without.shape[2]
-        Z = np.zeros((r, j, self._facets.moments, j * free))
-        may_change = self._facets.free[self._own].all(axis=2)
-        for k in range(j):
-            on_facet = statics.without[self._own[:, k]] * may_change[:, k, None, None]
-            Z[:, k, :, k * free : (k + 1) * free] = on_facet
-        return Z
-
-    def _open(self) -> Vector:
-        """Return the null space of the resultants on the cells, of moments that may change.
+    def open(self) -> Vector:
+        """Return changes (r, j, m, z) of moments that may change, without resultants on cells.
 
         The ring ends at the boundary, where some components may be supported.
         """
@@ -287,31 +322,3 @@ class _RingBasis:
         Z = np.where((values < _SINGULAR * largest)[..., None], rows, 0.0).transpose(0, 2, 1)
         Z = (Z * free.reshape(r, -1, 1)).reshape(r, j, m, -1)
         return np.asarray(Z[..., np.abs(Z).max(axis=(0, 1, 2)) > 0.0])
-
-    def inverted(self, Q: Vector) -> Iterator[RingBlock]:
-        """Yield the blocks with the inverses of their energies, where there is any."""
-        if not self.basis.size:
-            return
-        cells, local, (r, j, m, z) = self._rings.cells, self._rings.local, self.basis.shape
-        every, energy = np.arange(r), np.zeros((r, z, z))
-        for q in range(cells.shape[1]):
-            of_cell = np.zeros((r, 2, m, z))
-            for side in range(2):
-                values = (
-                    self._sign[:, q, side, None, None] * self.basis[every, self._place[:, q, side]]
-                )
-                order = self._facets.order[cells[:, q], local[:, q, side]]
-                order = np.broadcast_to(order[..., None], values.shape)
-                np.put_along_axis(of_cell[:, side], order, values, axis=1)
-            of_cell = of_cell.reshape(r, 2 * m, z)
-            pairs = cells[:, q, None, None], local[:, q, :, None], local[:, q, None, :]
-            of_pairs = Q[pairs[0], pairs[1], :, pairs[2], :].transpose(0, 1, 3, 2, 4)
-            energy += of_cell.transpose(0, 2, 1) @ of_pairs.reshape(r, 2 * m, 2 * m) @ of_cell
-        live = np.trace(energy, axis1=1, axis2=2) > 0.0
-        if live.any():
-            basis = self.basis[live].reshape(-1, j * m, z)
-            energy = energy[live]
-            # changes without energy have no gradient
-            shift = _SHIFT * np.trace(energy, axis1=1, axis2=2) / z
-            energy[:, np.arange(z), np.arange(z)] += shift[:, None]
-            yield RingBlock(self._own[live], basis, np.linalg.inv(energy))
