@@ -41,6 +41,7 @@ NAMES = [
     "joint",
     "ladder",
     "materials",
+    "mesh_error",
     "nonlinear",
     "peers",
     "peers_friction",

@@ -56,8 +56,8 @@ def add_energies(
     of the cell's side, `basis` (r, j, m, z) the changes.
     """
     (r, c, h, m), (_, j, _, z) = rows.shape, basis.shape
-    arrays = [np.ascontiguousarray(x, dtype=np.intp) for x in (cells, rows, facets)]
-    arrays += [np.ascontiguousarray(x, dtype=float) for x in (sign, basis, Q)]
-    arrays += [energy, np.empty(2 * h * m * z)]
+    numbers = [np.ascontiguousarray(x, dtype=np.intp) for x in (cells, rows, facets)]
+    values = [np.ascontiguousarray(x, dtype=float) for x in (sign, basis, Q)]
+    arrays = (*numbers, *values, energy, np.empty(2 * h * m * z))
     sizes = _sizes(z, r, c, h, j, m, Q.shape[1])
     _library().mesh_error_energies(*sizes, *map(pointer, arrays))

@@ -42,8 +42,6 @@ from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 # steps of conjugate gradients: more of them make the estimate smaller by a hundredth
 _STEPS = 5
-# moments that differ by less are the same
-_SAME = 1e-13
 # bytes of the matrices of the cells that are kept at once
 _BYTES = 2**26
 # cells whose forces are computed at once
@@ -368,11 +366,7 @@ class MeshErrorProblem:
         errors = [np.zeros((self.faces.size, 2)) for _ in range(steps + 1)]
         energies = np.zeros(self.faces.size)
         for rows in self._groups():
-            moments = self.tractions.moments[rows]
-            # away from contacts there is one way
-            if np.allclose(moments[..., 0], moments[..., 1], _SAME, _SAME * np.abs(moments).max()):
-                moments = moments[..., :1]
-            of_group = self.neumann.energies(rows, self.u[rows], moments)
+            of_group = self.neumann.energies(rows, self.u[rows], self.tractions.of(rows))
             energies[rows] = of_group.solution
             history = improved_energies(self.faces, rows, self._free(rows), of_group, steps)
             for total, squares in zip(errors, history, strict=True):

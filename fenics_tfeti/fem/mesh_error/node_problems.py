@@ -18,7 +18,7 @@ from fenics_tfeti.fem.mesh_error.faces import add_rows
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import batches, connected_labels
 from fenics_tfeti.parallel import send_rows
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 # numbers in the matrices that are solved with at once
 _ENTRIES = 2**20
@@ -44,53 +44,42 @@ class FacetMoments:
     moment: Vector  # (t, d) [N]
 
 
-Table = TypeVar("Table", CellForces, FacetMoments)
+def balanced_moments(forces: CellForces, moments: FacetMoments) -> tuple[Vector, Numbers, Vector]:
+    """Return the moments (t, d, v) in balance, and what is out of balance at nodes.
 
-
-def balanced_moments(
-    nodes: NodeMap, forces: CellForces, moments: FacetMoments
-) -> tuple[Vector, Vector]:
-    """Return the moments (t, d, v) in balance, and what is out of balance at nodes. Collective.
-
-    The imbalance (owned, d) is that of the cells around a node that nothing holds [N].
+    The imbalance is that of the cells around a node that nothing holds [N]: the nodes (p,), and in
+    each the forces (p, d).
     """
-    comm, size = nodes.comm, nodes.size
-    shared = _on_several_ranks(nodes, forces.node)
-    imbalance = np.zeros((size, nodes.components))
-    result = np.zeros((*moments.moment.shape, forces.force.shape[2]))
-    own_forces = _rows(forces, ~shared[nodes.to_local(forces.node)])
-    is_own = ~shared[nodes.to_local(moments.node)]
-    own_moments = _rows(moments, is_own)
-    result[is_own], missing = _balanced(own_forces, own_moments)
-    np.maximum.at(imbalance, nodes.to_local(own_forces.node), missing)
-    if comm.size > 1:
-        sent = np.flatnonzero(~is_own)
-        common = _rows(forces, shared[nodes.to_local(forces.node)])
-        forces_there, _ = _to_owners(nodes, common)
-        moments_there, sender = _to_owners(nodes, _rows(moments, ~is_own))
-        solved, missing = _balanced(forces_there, moments_there)
-        np.maximum.at(imbalance, nodes.to_local(forces_there.node), missing)
-        # rows of a sender come back in the order in which it has sent them
-        (back,) = send_rows(comm, sender, solved)
-        order = np.argsort(nodes.owners(moments.node[sent]), kind="stable")
-        result[sent[order]] = back
-    return result, imbalance[: nodes.owned]
+    problem = _NodeProblems(forces, moments)
+    return problem.moments(), forces.node, problem.imbalance
 
 
-def _rows(table: Table, mask: Mask) -> Table:
-    """Return some rows of a table."""
-    return type(table)(*(column[mask] for column in vars(table).values()))
+def moments_over_ranks(
+    nodes: NodeMap, forces: CellForces, moments: FacetMoments
+) -> tuple[Vector, Numbers, Vector]:
+    """Return the same where nodes have cells on several ranks; nodes are owned ones. Collective."""
+    forces_there, _ = _to_owners(nodes, forces)
+    moments_there, sender = _to_owners(nodes, moments)
+    solved, node, missing = balanced_moments(forces_there, moments_there)
+    # rows of a sender come back in the order in which it has sent them
+    (back,) = send_rows(nodes.comm, sender, solved)
+    result = np.empty_like(back)
+    result[np.argsort(nodes.owners(moments.node), kind="stable")] = back
+    return result, node, missing
 
 
-def _on_several_ranks(nodes: NodeMap, used: Numbers) -> Mask:
-    """Tell which local nodes have cells on several ranks. Collective."""
+def on_several_ranks(nodes: NodeMap, used: Indices) -> Mask:
+    """Tell which local nodes have cells on several ranks; this one's use some. Collective."""
     if nodes.comm.size == 1:
         return np.zeros(nodes.size, dtype=bool)
-    distinct = np.unique(used)
+    distinct = nodes.to_global(np.unique(used))
     ranks = nodes.sum_at_owners(distinct, np.ones(distinct.size, dtype=np.int64))
     shared = np.zeros(nodes.size, dtype=bool)
     shared[nodes.to_local(distinct)] = nodes.values_at(ranks, distinct) > 1
     return shared
+
+
+Table = TypeVar("Table", CellForces, FacetMoments)
 
 
 def _to_owners(nodes: NodeMap, table: Table) -> tuple[Table, Numbers]:
@@ -99,12 +88,6 @@ def _to_owners(nodes: NodeMap, table: Table) -> tuple[Table, Numbers]:
     owners, columns = nodes.owners(table.node), vars(table).values()
     *arrived, senders = send_rows(nodes.comm, owners, *columns, sender)
     return type(table)(*arrived), senders
-
-
-def _balanced(forces: CellForces, moments: FacetMoments) -> tuple[Vector, Vector]:
-    """Return balanced moments (t, d, v), and what is out of balance at rows of forces (p, d)."""
-    problem = _NodeProblems(forces, moments)
-    return problem.moments(), problem.imbalance
 
 
 class _NodeProblems:

@@ -2,9 +2,9 @@
 
 Any change of the moments without a resultant on a cell leaves it in equilibrium, and the sum of the
 cells' energies a bound; a few steps of conjugate gradients make it smaller. The preconditioner is
-additive: its unknowns are the tractions without resultant on each facet, and for each ring of cells,
-around a vertex in two dimensions, around an edge in three, the forces and moments that pass once
-around it. Where a ring ends at supports, they are all changes without a resultant on its cells.
+additive. Its unknowns are the tractions without resultant on each facet, and what passes once
+around each ring of cells, around a vertex in two dimensions and an edge in three: forces and
+moments. Where a ring ends at supports, they are all changes without a resultant on its cells.
 """
 
 from __future__ import annotations
@@ -204,9 +204,10 @@ def _inverted(
     facets: FacetMap, own: Numbers, at: Rings, basis: Vector, Q: Vector
 ) -> Iterator[Block]:
     """Yield the blocks of changes (r, j, m, z) on facets (r, j), where they have energy."""
-    (r, j, m, z), energy = basis.shape, np.zeros((len(basis), *2 * basis.shape[-1:]))
     if not basis.size:
         return
+    r, j, m, z = basis.shape
+    energy = np.zeros((r, z, z))
     cells = at.cells[..., None]
     place = (facets.facets[cells, at.local][..., None] == own[:, None, None, :]).argmax(axis=3)
     sign, places = facets.sign[cells, at.local], facets.places[cells, at.local]

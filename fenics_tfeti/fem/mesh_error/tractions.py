@@ -7,21 +7,30 @@ contacts and ties carry the forces that are missing in the balance of all cells 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
-from fenics_tfeti.fem.mesh_error.node_problems import CellForces, FacetMoments, balanced_moments
+from fenics_tfeti.fem.mesh_error.node_problems import (
+    CellForces,
+    FacetMoments,
+    balanced_moments,
+    moments_over_ranks,
+    on_several_ranks,
+)
 from fenics_tfeti.fem.mesh_error.stress import CellStress
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import batches, global_numbers
 from fenics_tfeti.parallel import Directory, any_rank, largest_of_ranks
-from fenics_tfeti.typing import Array, Mask, Vector
+from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 # cells whose own tractions are computed at once
 _CELLS = 2**12
+# pairs of a cell and a node that are balanced at once
+_PAIRS = 2**15
 # nodes with a contact force have more of it than this, relative to the largest one
 _LOADED = 1e-6
 # forces that are out of balance, relative to the largest force of a cell, are those of a support or
@@ -57,15 +66,26 @@ class FacetKinds:
 
 @dataclass(frozen=True)
 class Tractions:
-    """Moments of the tractions on the facets of the cells, with contact forces shared in v ways.
+    """Moments of the tractions on the facets of the cells, with contact forces shared in two ways.
 
     A node's force is shared by area among all its contact facets or, second, only among those all
     of whose vertices carry a force, where it has any.
     """
 
-    moments: Vector  # (k, f, t, d, v) [N]
+    moments: Vector  # (k, f, t, d): the first way [N]
+    second: Vector  # (c, f, t, d): the second way, of cells where it differs
+    place: Indices  # (k,): the row of each cell in `second`, or -1
     pressing: Mask  # (k, f): the contact facets all of whose vertices carry a force
     free: Mask  # (k, f, d): tractions that may be changed
+
+    def of(self, rows: Numbers) -> Vector:
+        """Return moments (g, f, t, d, v) of some cells, in v = 1 way where both are the same."""
+        place = self.place[rows]
+        differ = place >= 0
+        moments = np.repeat(self.moments[rows][..., None], 2 if differ.any() else 1, axis=-1)
+        if differ.any():
+            moments[differ, ..., 1] = self.second[place[differ]]
+        return moments
 
 
 def equilibrated_tractions(
@@ -87,14 +107,11 @@ def equilibrated_tractions(
     sizes = np.abs(force).max(axis=1, initial=0.0)
     loaded = sizes > _LOADED * largest_of_ranks(nodes.comm, sizes)
     pressing = loaded[faces.facet_corners()].all(axis=2) & kinds.contact
-    shares = _shares(faces, nodes, kinds.contact, pressing)
-    known = shares[..., None, :] * force[faces.facet_nodes()][..., None]
-    # supports take the forces of prescribed components
-    known *= kinds.contact[:, :, None, None, None] & ~kinds.free[:, :, None, :, None]
-    own = _own_moments(faces, stress)
-    moments, imbalance = _balanced(faces, nodes, kinds, residual, known, own)
-    _check_balance(nodes, imbalance, largest_of_ranks(nodes.comm, np.abs(residual)))
-    return Tractions(moments, pressing, kinds.free)
+    known = ContactMoments.of(faces, nodes, kinds, pressing, force)
+    problems = _TractionProblems(faces, nodes, kinds, residual, known, _own_moments(faces, stress))
+    problems.solve()
+    _check_balance(nodes, problems.imbalance, largest_of_ranks(nodes.comm, np.abs(residual)))
+    return Tractions(*problems.moments(), pressing, kinds.free)
 
 
 def over_ranks(nodes: NodeMap, values: Array, ufunc: np.ufunc = np.add) -> Array:
@@ -128,65 +145,171 @@ def _own_moments(faces: CellFaces, stress: CellStress) -> Vector:
     return np.concatenate(own)
 
 
-def _shares(faces: CellFaces, nodes: NodeMap, contact: Mask, pressing: Mask) -> Vector:
-    """Return the shares (k, f, t, v) of contact facets in their nodes' forces. Collective."""
-    shares = np.zeros((*contact.shape, faces.closure.shape[1], 2))
-    rows = np.flatnonzero(contact.any(axis=1))
-    at_nodes = faces.facet_nodes()
+@dataclass(frozen=True)
+class ContactMoments:
+    """Moments (c, f, t, d, 2) of the forces on contact facets, shared in two ways, by cell."""
+
+    rows: Numbers  # (c,): the cells
+    moments: Vector  # [N]
+
+    @staticmethod
+    def of(
+        faces: CellFaces, nodes: NodeMap, kinds: FacetKinds, pressing: Mask, force: Vector
+    ) -> ContactMoments:
+        """Share the forces (nodes, d) of contact nodes among their facets. Collective."""
+        rows = np.flatnonzero(kinds.contact.any(axis=1))
+        shares = _shares(faces, nodes, kinds.contact, pressing, rows)
+        moments = shares[..., None, :] * force[faces.facet_nodes(rows)][..., None]
+        # supports take the forces of prescribed components
+        given = kinds.contact[rows][:, :, None] & ~kinds.free[rows]
+        return ContactMoments(rows, moments * given[:, :, None, :, None])
+
+    def at_nodes(self, faces: CellFaces) -> Vector:
+        """Return their sums (c, n, d, 2) at the cells' nodes."""
+        total = np.zeros((self.rows.size, faces.nodes.shape[1], faces.dim, 2))
+        for number, closure in enumerate(faces.closure):
+            total[:, closure] += self.moments[:, number]
+        return total
+
+
+def _shares(
+    faces: CellFaces, nodes: NodeMap, contact: Mask, pressing: Mask, rows: Numbers
+) -> Vector:
+    """Return the shares (c, f, t, 2) of contact facets of c cells in nodes' forces. Collective."""
+    at_nodes = faces.facet_nodes(rows)
     sizes = np.linalg.norm(faces.weighted_normals(rows), axis=3)
     areas = np.einsum("kfq,fqt->kft", sizes, np.abs(faces.rule.traces))
-    shares[rows] = (areas * contact[rows][:, :, None])[..., None]
+    shares = np.repeat((areas * contact[rows][:, :, None])[..., None], 2, axis=-1)
     has_pressing = np.zeros(nodes.size, dtype=bool)
-    has_pressing[at_nodes[pressing].ravel()] = True
+    has_pressing[at_nodes[pressing[rows]].ravel()] = True
     has_pressing = over_ranks(nodes, has_pressing, np.logical_or)
-    shares[..., 1] *= pressing[:, :, None] | ~has_pressing[at_nodes]
+    shares[..., 1] *= pressing[rows][:, :, None] | ~has_pressing[at_nodes]
     total = np.zeros((nodes.size, 2))
-    add_rows(total, at_nodes[rows].ravel(), shares[rows].reshape(-1, 2))
+    add_rows(total, at_nodes.ravel(), shares.reshape(-1, 2))
     total = over_ranks(nodes, total)
     return shares / np.where(total > 0.0, total, 1.0)[at_nodes]
 
 
-def _balanced(
-    faces: CellFaces,
-    nodes: NodeMap,
-    kinds: FacetKinds,
-    residual: Vector,
-    known: Vector,
-    own: Vector,
-) -> tuple[Vector, Vector]:
-    """Return all moments (k, f, t, d, v), and the imbalance (owned, d) of nodes. Collective."""
-    topology = faces.space.mesh.topology
-    force = np.repeat(residual[..., None], known.shape[-1], axis=-1)
-    for number, closure in enumerate(faces.closure):
-        force[:, closure] += known[:, number]
-    cell = global_numbers(topology.index_map(faces.dim), faces.cells)
-    node = nodes.to_global(faces.nodes)
-    facet = global_numbers(topology.index_map(faces.dim - 1), faces.facets)
-    k, f = np.nonzero(kinds.free.any(axis=2))
-    t: int = faces.closure.shape[1]
-    moments = known.copy()
-    solved, imbalance = balanced_moments(
-        nodes,
-        CellForces(
-            node.ravel(),
-            np.repeat(cell, node.shape[1]),
-            force.reshape(node.size, *force.shape[2:]),
-        ),
-        FacetMoments(
-            node[k[:, None], faces.closure[f]].ravel(),
-            np.repeat(cell[k], t),
-            np.repeat(facet[k, f], t),
-            np.repeat(kinds.free[k, f], t, axis=0),
-            own[k, f].reshape(-1, faces.dim),
-        ),
-    )
-    moments[k, f] += solved.reshape(k.size, t, *known.shape[3:])
-    return moments, imbalance
+class _TractionProblems:
+    """The problems of all nodes: moments in balance, nearest to those of the cells' own stress."""
+
+    def __init__(
+        self,
+        faces: CellFaces,
+        nodes: NodeMap,
+        kinds: FacetKinds,
+        residual: Vector,
+        known: ContactMoments,
+        own: Vector,
+    ) -> None:
+        """Take the moments (k, f, t, d) of the cells' own stress, which become those in balance."""
+        topology = faces.space.mesh.topology
+        self._faces, self._nodes, self._kinds, self._residual = faces, nodes, kinds, residual
+        self._known, self._moments = known, own
+        self._cell = global_numbers(topology.index_map(faces.dim), faces.cells)
+        self._facet_map = topology.index_map(faces.dim - 1)
+        self._at_nodes = known.at_nodes(faces)
+        self._row_of = np.full(faces.size, -1, dtype=np.int32)
+        self._row_of[known.rows] = np.arange(known.rows.size)
+        # facets and their nodes at each node of a cell
+        self._facets_at = [np.nonzero(faces.closure == a) for a in range(faces.nodes.shape[1])]
+        self._second: list[tuple[Numbers, Numbers, Numbers, Vector]] = []
+        self.imbalance = np.zeros((nodes.size, faces.dim))
+
+    def solve(self) -> None:
+        """Solve the problems, of a part of the nodes at once. Collective."""
+        faces, nodes = self._faces, self._nodes
+        differ = (self._at_nodes[..., 0] != self._at_nodes[..., 1]).any(axis=2)
+        in_two_ways = np.zeros(nodes.size, dtype=bool)
+        in_two_ways[faces.nodes[self._known.rows][differ]] = True
+        in_two_ways = over_ranks(nodes, in_two_ways, np.logical_or)
+        is_shared = on_several_ranks(nodes, faces.nodes.ravel())
+        # pairs of a cell and a node, those of a node one after the other
+        by_node = np.argsort(faces.nodes, axis=None, kind="stable")
+        node = faces.nodes.ravel()[by_node]
+        for ways in (1, 2):
+            chosen = by_node[~is_shared[node] & (in_two_ways[node] == (ways == 2))]
+            for part in _whole_nodes(faces.nodes.ravel()[chosen]):
+                self._keep(*self._tables(chosen[part], ways), balanced_moments)
+        if nodes.comm.size > 1:
+
+            def over_the_ranks(
+                forces: CellForces, moments: FacetMoments
+            ) -> tuple[Vector, Numbers, Vector]:
+                return moments_over_ranks(nodes, forces, moments)
+
+            self._keep(*self._tables(by_node[is_shared[node]], 2), over_the_ranks)
+
+    def moments(self) -> tuple[Vector, Vector, Indices]:
+        """Return the moments, those of the second way, and the row of each cell in these."""
+        faces, known = self._faces, self._known
+        place = np.full(faces.size, -1, dtype=np.int32)
+        for k, *_ in self._second:
+            place[k] = 0
+        rows = np.flatnonzero(place == 0)
+        place[rows] = np.arange(rows.size)
+        self._moments[~self._kinds.free.any(axis=2)] = 0.0
+        second = self._moments[rows]
+        for k, f, t, values in self._second:
+            second[place[k], f, t] = values
+        is_in = place[known.rows] >= 0
+        second[place[known.rows[is_in]]] += known.moments[is_in][..., 1]
+        self._moments[known.rows] += known.moments[..., 0]
+        return self._moments, second, place
+
+    def _tables(
+        self, pairs: Numbers, ways: int
+    ) -> tuple[CellForces, FacetMoments, tuple[Numbers, Numbers, Numbers]]:
+        """Return forces and moments of pairs of a cell and a node, and the cells, facets, nodes."""
+        faces, nodes = self._faces, self._nodes
+        k, a = np.divmod(pairs, faces.nodes.shape[1])
+        force = np.repeat(self._residual[k, a][..., None], ways, axis=-1)
+        row = self._row_of[k]
+        has_known = row >= 0
+        force[has_known] += self._at_nodes[row[has_known], a[has_known], :, :ways]
+        node = nodes.to_global(faces.nodes[k, a])
+        forces = CellForces(node, self._cell[k], force)
+        of_pair, at = list[Numbers](), list[tuple[Numbers, Numbers]]()
+        for local, (f, t) in enumerate(self._facets_at):
+            here = np.flatnonzero(a == local)
+            of_pair.append(np.repeat(here, f.size))
+            at.append((np.tile(f, here.size), np.tile(t, here.size)))
+        pair = np.concatenate(of_pair)
+        f, t = (np.concatenate(column) for column in zip(*at, strict=True))
+        is_free = self._kinds.free[k[pair], f].any(axis=1)
+        pair, f, t = pair[is_free], f[is_free], t[is_free]
+        facet = global_numbers(self._facet_map, faces.facets[k[pair], f])
+        free, moment = self._kinds.free[k[pair], f], self._moments[k[pair], f, t]
+        moments = FacetMoments(node[pair], self._cell[k[pair]], facet, free, moment)
+        return forces, moments, (k[pair], f, t)
+
+    def _keep(
+        self,
+        forces: CellForces,
+        moments: FacetMoments,
+        at: tuple[Numbers, Numbers, Numbers],
+        balanced: Callable[[CellForces, FacetMoments], tuple[Vector, Numbers, Vector]],
+    ) -> None:
+        """Keep the moments in balance, and what is out of balance."""
+        solved, node, missing = balanced(forces, moments)
+        self._moments[at] = solved[..., 0]
+        np.maximum.at(self.imbalance, self._nodes.to_local(node), missing)
+        if solved.shape[-1] == 2:
+            self._second.append((*at, solved[..., 1]))
+
+
+def _whole_nodes(node: Numbers) -> Iterator[slice]:
+    """Yield slices of ascending nodes, with all that are of a node."""
+    first = 0
+    while first < node.size:
+        last = np.searchsorted(node, node[min(first + _PAIRS, node.size) - 1], "right")
+        yield slice(first, int(last))
+        first = int(last)
 
 
 def _check_balance(nodes: NodeMap, imbalance: Vector, largest: float) -> None:
     """Check that no forces act on nodes alone. Collective."""
-    sizes = np.linalg.norm(imbalance, axis=1)
+    sizes = np.linalg.norm(imbalance[: nodes.owned], axis=1)
     wrong = sizes > _UNBALANCED * largest
     if not any_rank(nodes.comm, wrong):
         return
