@@ -3,8 +3,8 @@
     python benchmarks/run.py mesh_error [--cases tetrahedra triangles ...] [--size 1.0]
 
 Unstructured tetrahedra of the two beams of `general`, and blocks of cells of one size on a rigid
-roller or ball. Each runs in a process of its own, after a small one that compiles the forms; seconds
-are of the processor. `size` multiplies the cells along an edge.
+roller or ball. Each runs in a process of its own, after a small one that compiles the forms.
+Seconds are of the processor. `size` multiplies the cells along an edge.
 """
 
 from __future__ import annotations

@@ -21,6 +21,7 @@ from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
+from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.feti import interruption
@@ -30,7 +31,7 @@ from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton import Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
-from fenics_tfeti.parallel import largest_of_ranks
+from fenics_tfeti.parallel import largest_of_ranks, meet
 from fenics_tfeti.report import ContactReport
 
 
@@ -181,6 +182,29 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
                 self._timer.restart()
         self._view()
         return self.u
+
+    def mesh_error(self) -> MeshError:
+        """Estimate the error of the mesh of the last solve. Collective.
+
+        As `ContactProblem.mesh_error`, of the problem linearised at `u`: the energy norm is that of
+        the tangent, and `energy_norm` that of `u` in it. Tangents of cells that are compressed may
+        have negative eigenvalues, which count by their magnitude.
+
+        Raises
+        ------
+        InputError
+            As there.
+        """
+        if not self._is_solved or self._solved is None or self._solution is None:
+            raise InputError("mesh_error() is of a solution; call solve() first")
+        meet(self.space.mesh.comm, "mesh_error()")
+        with self._timer.phase("mesh error"):
+            cells = MeshErrorProblem(
+                self._torn, self._solved, self._solution.torn_displacements, True, self.u
+            )
+            estimate = estimate_mesh_error(cells, self.report.newton[-1].residual)
+        self._report = replace(self.report, mesh_error=estimate.entry)
+        return estimate
 
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(self.u)

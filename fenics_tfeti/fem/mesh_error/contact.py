@@ -47,13 +47,14 @@ def gap_energies(
     """Return the integrals 2 p (gap - u_n)_+ over the slave's facets, by cell (k, 2) [J].
 
     First over all facets with a pressure, second over those alone all of whose vertices have one.
-    The pressure p is linear between nodes. Gaps are `is_exact` those of the deformed surfaces.
+    The pressure p, over undeformed areas, is linear between nodes. Gaps are `is_exact` those of the
+    deformed surfaces.
     Collective.
     """
     total = np.zeros((faces.size, 2))
     weight = solved.conditions.boundary.nodal_weight()
     for found, result in zip(solved.conditions.contacts, solved.contacts, strict=True):
-        pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.pressure, 0.0))
+        pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.nominal_pressure, 0.0))
         corners = pressure[faces.facet_corners()]
         on_slave = tagged(faces, found.contact.facet_tags, [found.contact.slave])
         k, f = np.nonzero(on_slave & (corners > 0.0).any(axis=2))

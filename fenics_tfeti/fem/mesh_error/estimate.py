@@ -46,6 +46,8 @@ _STEPS = 5
 _BYTES = 2**26
 # cells whose forces are computed at once
 _CELLS = 2**12
+# forces of a cell, relative to those of its stiffness and displacements one by one, that are none
+_ROUNDING = 1e-12
 # a cell's new size relative to the old one
 _SMALLER, _LARGER = 0.25, 2.0
 
@@ -103,6 +105,8 @@ class MeshErrorEntry:
         iterations have left.
     guaranteed : bool
         Whether it is a bound.
+    linearised : bool
+        Whether it is that of the problem linearised at a displacement with finite strains.
     bodies : dict of str to BodyMeshError
         By name of the body.
     contacts : dict of str to ContactMeshError
@@ -112,12 +116,14 @@ class MeshErrorEntry:
     error: float
     total: float
     guaranteed: bool
+    linearised: bool
     bodies: Mapping[str, BodyMeshError]
     contacts: Mapping[str, ContactMeshError]
 
     def __str__(self) -> str:
         """Return the errors as a line to read."""
-        text = f"about {_percent(self.error)} % in the energy norm"
+        of = " of the linearised problem" if self.linearised else ""
+        text = f"about {_percent(self.error)} % in the energy norm{of}"
         if len(self.bodies) > 1:
             largest = sorted(self.bodies.items(), key=lambda item: -item[1].share)[:4]
             text += f" ({', '.join(f'{name} {_percent(e.error)}' for name, e in largest)})"
@@ -151,6 +157,9 @@ class MeshError:
         The same with the error that the iterations have left, by the certificate of the report.
     guaranteed : bool
         Whether it is a bound; False: it is an estimate.
+    linearised : bool
+        Whether it is that of the problem linearised at the displacement, which has finite strains;
+        the energy norm is that of its tangent.
     bodies : dict of str to BodyMeshError
         By the name of the body's cells, or ``"body 0"``.
     contacts : dict of str to ContactMeshError
@@ -173,6 +182,7 @@ class MeshError:
     error: float
     total: float
     guaranteed: bool
+    linearised: bool
     bodies: ByName[BodyMeshError]
     contacts: ByName[ContactMeshError]
     cells: Function
@@ -183,7 +193,12 @@ class MeshError:
     def entry(self) -> MeshErrorEntry:
         """Its numbers in the report."""
         return MeshErrorEntry(
-            self.error, self.total, self.guaranteed, dict(self.bodies), dict(self.contacts)
+            self.error,
+            self.total,
+            self.guaranteed,
+            self.linearised,
+            dict(self.bodies),
+            dict(self.contacts),
         )
 
     def __str__(self) -> str:
@@ -305,7 +320,9 @@ _EQUILATERAL = {
 class MeshErrorProblem:
     """The problems of all cells of a solution, with tractions in equilibrium. Collective.
 
-    `displacements` are those of the subdomains, torn: their forces balance the multipliers.
+    `displacements` are those of the subdomains, torn: their forces balance the multipliers. With
+    finite strains the forms are those at the total displacement, `linearised_at`, where only the
+    load is not zero.
     """
 
     def __init__(
@@ -314,15 +331,26 @@ class MeshErrorProblem:
         solved: SolvedContacts,
         displacements: Sequence[Vector],
         is_exact: bool,
+        linearised_at: Function | None = None,
     ) -> None:
         self.torn, self.nodes, self.solved, self._is_exact = torn, torn.nodes, solved, is_exact
+        self.is_linearised = linearised_at is not None
         cells, self.u = torn.torn.at_cells(displacements)  # (k,), (k, n, d)
-        self.faces = CellFaces(torn.space, cells)
+        self._total, moves = self.u, None
+        if linearised_at is not None:
+            nodal = linearised_at.x.array.reshape(-1, self.u.shape[2])
+            self._total = moves = nodal[_compat.cell_dofs(torn.space)[cells]]
+            self.u = np.zeros_like(self.u)
+        self.faces = CellFaces(torn.space, cells, moves)
         self.kinds = self._kinds()
         self.tractions = self._tractions()
         forms = torn.torn.forms
         self.neumann = NeumannProblems(
-            self.faces, forms.bilinear.form, forms.linear.form, torn.data.compiler
+            self.faces,
+            forms.bilinear.form,
+            forms.linear.form,
+            torn.data.compiler,
+            self.is_linearised,
         )
 
     def _kinds(self) -> FacetKinds:
@@ -349,14 +377,19 @@ class MeshErrorProblem:
         values = w.x.array.reshape(-1, self.faces.dim)
         values[_compat.cell_dofs(W)[self.faces.cells]] = self.u
         points = self.faces.rule.points
-        stress = CellStress(forms.bilinear, w, points.reshape(-1, self.faces.dim))
-        residual = np.zeros_like(self.u)
+        stress = CellStress(forms.bilinear, forms.linear, w, points.reshape(-1, self.faces.dim))
+        residual, rounding = np.zeros_like(self.u), 0.0
         for batch in batches(self.faces.size, _CELLS):
-            cells, u = self.faces.cells[batch], self.u[batch]
-            internal = forms.cell_matrices(cells) @ u.reshape(len(u), -1, 1)
+            cells, u, total = self.faces.cells[batch], self.u[batch], self._total[batch]
+            A = forms.cell_matrices(cells)
+            internal = A @ u.reshape(len(u), -1, 1)
             load = forms.linear.element_tensors(space, cells)
             residual[batch] = (load - internal[:, :, 0]).reshape(u.shape)
-        return equilibrated_tractions(self.faces, self.nodes, self.kinds, stress, residual)
+            sizes = np.abs(A) @ np.abs(total).reshape(len(u), -1, 1)
+            rounding = max(rounding, _ROUNDING * float(sizes.max(initial=0.0)))
+        return equilibrated_tractions(
+            self.faces, self.nodes, self.kinds, stress, residual, rounding
+        )
 
     def energies(self, steps: int = _STEPS) -> tuple[list[Vector], Vector]:
         """Return the squares (k, 2) of the errors after 0, 1, ... steps, and energies (k,) [J].
@@ -366,7 +399,9 @@ class MeshErrorProblem:
         errors = [np.zeros((self.faces.size, 2)) for _ in range(steps + 1)]
         energies = np.zeros(self.faces.size)
         for rows in self._groups():
-            of_group = self.neumann.energies(rows, self.u[rows], self.tractions.of(rows))
+            of_group = self.neumann.energies(
+                rows, self.u[rows], self._total[rows], self.tractions.of(rows)
+            )
             energies[rows] = of_group.solution
             history = improved_energies(self.faces, rows, self._free(rows), of_group, steps)
             for total, squares in zip(errors, history, strict=True):
@@ -418,6 +453,7 @@ def estimate_mesh_error(problem: MeshErrorProblem, iterations: float) -> MeshErr
         error,
         error + iterations,
         False,
+        problem.is_linearised,
         _body_errors(comm, problem.torn.bodies, faces.cells, squares, energies),
         _contact_errors(problem, squares, energies),
         cells,

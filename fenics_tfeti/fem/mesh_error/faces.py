@@ -65,10 +65,11 @@ def add_rows(total: Vector, rows: Numbers | Indices, values: Vector) -> None:
 class CellFaces:
     """The k cells of deformable bodies that this rank owns, each with its facets.
 
-    `cells` are their numbers; other arrays have a row for each of them.
+    `cells` are their numbers; other arrays have a row for each of them. Moments of forces are about
+    the places of nodes after displacements `moves` (k, n, d) [m], if there are any.
     """
 
-    def __init__(self, space: FunctionSpace, cells: Indices) -> None:
+    def __init__(self, space: FunctionSpace, cells: Indices, moves: Vector | None = None) -> None:
         domain = space.mesh
         self.space, self.cells = space, cells
         self.kind: ReferenceCell = cell_type(domain)
@@ -78,7 +79,7 @@ class CellFaces:
         self.corners: Numbers = np.array(self.kind.facet_nodes(1))  # (f, v)
         self.nodes: Indices = _compat.cell_dofs(space)[cells]  # (k, n): local nodes
         self.facets: Indices = cell_facets(domain)[cells]  # (k, f): local facets
-        self._geometry = _compat.geometry_degree(domain)
+        self._geometry, self._moves = _compat.geometry_degree(domain), moves
 
     @property
     def size(self) -> int:
@@ -105,8 +106,13 @@ class CellFaces:
         return np.asarray(np.matmul(shapes, self._coordinates(rows)))
 
     def node_points(self, degree: int, rows: Numbers | slice = slice(None)) -> Vector:
-        """Return the places (k, n, d) of the nodes of a degree [m]."""
-        return self.points(lagrange_points(self.kind.name, degree), rows)
+        """Return the places (k, n, d) of the nodes of a degree, moved if they do [m]."""
+        reference = lagrange_points(self.kind.name, degree)
+        places = self.points(reference, rows)
+        if self._moves is None:
+            return places
+        moves = shape_values(self.kind.name, self.degree, reference) @ self._moves[rows]
+        return np.asarray(places + moves)
 
     def weighted_normals(self, rows: Numbers | slice = slice(None)) -> Vector:
         """Return the outward normals n dS (k, f, q, d) at the points of the facets' rule."""

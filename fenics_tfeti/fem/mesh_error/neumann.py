@@ -39,7 +39,10 @@ class CellEnergies:
 
 
 class NeumannProblems:
-    """The problems of all cells; making them compiles the forms, and is collective."""
+    """The problems of all cells; making them compiles the forms, and is collective.
+
+    Tangents may be negative in cells that are compressed: their eigenvalues count by magnitude.
+    """
 
     def __init__(
         self,
@@ -47,8 +50,9 @@ class NeumannProblems:
         a: ufl.Form,
         L: ufl.Form,
         compiler: _compat.CompilerOptions | None = None,
+        is_tangent: bool = False,
     ) -> None:
-        self._faces, domain = faces, faces.space.mesh
+        self._faces, self._is_tangent, domain = faces, is_tangent, faces.space.mesh
         degree, d = faces.degree + 1, faces.dim
         self.space = space = _compat.lagrange_space(domain, degree, d, discontinuous=True)
         v, u = ufl.TestFunction(space), ufl.TrialFunction(space)
@@ -84,17 +88,23 @@ class NeumannProblems:
         """The memory that the energies of a cell take."""
         return 8 * self.lift.shape[1] ** 2
 
-    def energies(self, rows: Numbers, u: Vector, moments: Vector) -> CellEnergies:
-        """Return the energies of some cells with displacements u (k, n, d) [m] and moments."""
+    def energies(self, rows: Numbers, u: Vector, total: Vector, moments: Vector) -> CellEnergies:
+        """Return the energies of some cells with displacements u (k, n, d) [m] and moments.
+
+        The energy of the solution is that of `total` (k, n, d), at finite strains another one.
+        """
         s, v = self.lift.shape[1], moments.shape[-1]
         Q, c = np.zeros((rows.size, s, s)), np.zeros((rows.size, v))
         g, solution = np.zeros((rows.size, s, v)), np.zeros(rows.size)
         for batch in batches(rows.size, max(1, _ENTRIES // self.lift.size)):
             chosen = rows[batch]
-            A, internal, energy = self._internal(chosen, u[batch])
-            solution[batch] = energy
+            A, internal = self._internal(chosen, u[batch])
+            fine = self._interpolated(total[batch])
+            solution[batch] = np.sum(fine * (A @ fine), axis=(1, 2))
             load = self._external(chosen, moments[batch]) - internal
             self._hold_motions(A, chosen)
+            if self._is_tangent:
+                A = _magnitudes(A)
             held = products(A, self.lift, load, (Q[batch], g[batch], c[batch]))
             if held < chosen.size:
                 middle = self._faces.node_points(1, chosen[held : held + 1]).mean(axis=1)[0]
@@ -108,12 +118,14 @@ class NeumannProblems:
         """Return the loads (k, w, v) of the problems of some cells [N]."""
         return self._external(rows, moments) - self._internal(rows, u)[1]
 
-    def _internal(self, rows: Numbers, u: Vector) -> tuple[Vector, Vector, Vector]:
-        """Return stiffness matrices, internal forces (k, w, 1), and energies a(u, u)."""
+    def _internal(self, rows: Numbers, u: Vector) -> tuple[Vector, Vector]:
+        """Return stiffness matrices and internal forces (k, w, 1)."""
         A = self.bilinear.element_tensors(self.space, self._faces.cells[rows])
-        fine = (self._interpolation @ u).reshape(rows.size, -1, 1)
-        internal = A @ fine
-        return A, internal, np.sum(fine * internal, axis=(1, 2))
+        return A, A @ self._interpolated(u)
+
+    def _interpolated(self, u: Vector) -> Vector:
+        """Return displacements (k, w, 1) in terms of the functions of one degree more."""
+        return np.asarray((self._interpolation @ u).reshape(len(u), -1, 1))
 
     def _external(self, rows: Numbers, moments: Vector) -> Vector:
         load = self.linear.element_tensors(self.space, self._faces.cells[rows])
@@ -128,8 +140,11 @@ class NeumannProblems:
         energy = R.transpose(0, 2, 1) @ A @ R
         limit = _RESISTED * scale
         # springs and axisymmetric forms leave fewer motions free
-        if (resisted := np.abs(energy).max(axis=(1, 2)) >= limit).any():
-            values, modes = np.linalg.eigh(energy[resisted])
+        resisted = np.abs(energy).max(axis=(1, 2)) >= limit
+        if resisted.any():
+            R[resisted] = np.linalg.qr(R[resisted])[0]
+            energy = R[resisted].transpose(0, 2, 1) @ A[resisted] @ R[resisted]
+            values, modes = np.linalg.eigh(energy)
             R[resisted] = (R[resisted] @ modes) * (values < limit[resisted, None])[:, None, :]
         A += (scale / A.shape[1])[:, None, None] * (R @ R.transpose(0, 2, 1))
 
@@ -145,11 +160,18 @@ def _raised(form: ufl.Form) -> ufl.Form:
     return ufl.Form(integrals)
 
 
+def _magnitudes(A: Vector) -> Vector:
+    """Return symmetric matrices (k, w, w) with the magnitudes of their eigenvalues."""
+    values, vectors = np.linalg.eigh(A)
+    return np.asarray((vectors * np.abs(values)[:, None, :]) @ vectors.transpose(0, 2, 1))
+
+
 def rigid_motions(x: Vector) -> Vector:
-    """Return orthonormal rigid motions (k, n * d, modes) of nodes (k, n, d)."""
-    translations = np.broadcast_to(np.eye(x.shape[2]), (*x.shape, x.shape[2]))
-    translations = translations.reshape(len(x), -1, x.shape[2])
-    return np.asarray(np.linalg.qr(np.concatenate([translations, rotations(x)], axis=2))[0])
+    """Return rigid motions (k, n * d, modes) of unit length of nodes (k, n, d)."""
+    (k, n, d), turns = x.shape, rotations(x)
+    turns = turns / np.linalg.norm(turns, axis=1, keepdims=True)
+    moves = np.broadcast_to(np.tile(np.eye(d), (n, 1)) / np.sqrt(n), (k, n * d, d))
+    return np.concatenate([moves, turns], axis=2)
 
 
 def axes(dim: int) -> tuple[tuple[int, int], ...]:

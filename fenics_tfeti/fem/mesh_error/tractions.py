@@ -89,9 +89,16 @@ class Tractions:
 
 
 def equilibrated_tractions(
-    faces: CellFaces, nodes: NodeMap, kinds: FacetKinds, stress: CellStress, residual: Vector
+    faces: CellFaces,
+    nodes: NodeMap,
+    kinds: FacetKinds,
+    stress: CellStress,
+    residual: Vector,
+    rounding: float,
 ) -> Tractions:
     """Find tractions for forces r = L - a(u, .) (k, n, d) of each cell [N]. Collective.
+
+    Forces up to the rounding [N] are none.
 
     Raises
     ------
@@ -110,7 +117,9 @@ def equilibrated_tractions(
     known = ContactMoments.of(faces, nodes, kinds, pressing, force)
     problems = _TractionProblems(faces, nodes, kinds, residual, known, _own_moments(faces, stress))
     problems.solve()
-    _check_balance(nodes, problems.imbalance, largest_of_ranks(nodes.comm, np.abs(residual)))
+    largest = _UNBALANCED * largest_of_ranks(nodes.comm, np.abs(residual))
+    largest += largest_of_ranks(nodes.comm, np.array([rounding]))
+    _check_balance(nodes, problems.imbalance, largest)
     return Tractions(*problems.moments(), pressing, kinds.free)
 
 
@@ -308,9 +317,9 @@ def _whole_nodes(node: Numbers) -> Iterator[slice]:
 
 
 def _check_balance(nodes: NodeMap, imbalance: Vector, largest: float) -> None:
-    """Check that no forces act on nodes alone. Collective."""
+    """Check that no forces above a size act on nodes alone. Collective."""
     sizes = np.linalg.norm(imbalance[: nodes.owned], axis=1)
-    wrong = sizes > _UNBALANCED * largest
+    wrong = sizes > largest
     if not any_rank(nodes.comm, wrong):
         return
     worst = int(sizes.argmax()) if sizes.size else 0

@@ -89,6 +89,20 @@ def test_uniform_pressure_between_unlike_meshes_has_none(tied):
     assert problem.mesh_error().error < 1e-7
 
 
+def test_free_expansion_has_none():
+    """Stresses of a temperature stand in L: they balance those of the strain."""
+    parts = [((0.0, 0.0), (1.0, 1.0), (3, 3))]
+    scene = Scene.of_boxes(COMM, "triangle", parts, [(1, at(0, 0.0)), (2, at(1, 0.0))], young=1.0)
+    scene.fix(1, 0)
+    scene.fix(2, 1)
+    w = fem.Function(scene.V)
+    w.interpolate(lambda x: 0.1 * x[:2])
+    scene.L += ufl.inner(stress(w, scene.young), ufl.grad(scene.v)) * ufl.dx
+    problem = scene.problem(cell_tags=None, options={"rtol": 1e-10})
+    problem.solve()
+    assert problem.mesh_error().error < 1e-9
+
+
 # -- the theorem -------------------------------------------------------------------------------
 
 
