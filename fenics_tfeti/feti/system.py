@@ -51,7 +51,7 @@ class Subdomain:
         rotations, or drives them. See `prepare_tangents`. An array is for rigid bodies, see
         `Subdomain.rigid`.
     load_size : (n,) array, optional
-        Size of the forces whose sum the load is, which its rounding is relative to: |f_i| by
+        Size of the forces whose sum the load is, which its rounding is relative to: ``|f_i|`` by
         default, stresses where the load is what they leave out of balance [N].
     """
 
