@@ -23,6 +23,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from dolfinx.fem import Constant, Function
+from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.fem import _compat
@@ -46,6 +47,11 @@ from fenics_tfeti.fem.sensitivity.forms import (
     check_dependence,
     check_parameter,
     node_changes,
+    places_space,
+)
+from fenics_tfeti.fem.sensitivity.row_supports import (
+    derivative_by_places,
+    largest_distortion,
 )
 from fenics_tfeti.fem.sensitivity.supports import prescribed_entries
 from fenics_tfeti.fem.torn_problem import TornProblem
@@ -189,6 +195,15 @@ class SolvedState:
         if weights.shape not in (whole, shape):
             raise InputError(f"{label} has the shape {weights.shape}; {whole} or {shape} expected")
         return own, np.broadcast_to(weights, whole)
+
+    def has_kinds_of(self, found: ContactSet) -> bool:
+        """Tell whether this rank's conditions are of the kinds and numbers of others."""
+
+        def kinds(conditions: ContactSet) -> list[tuple[bool, int]]:
+            contacts = [(p.is_mortar, p.gap.size) for p in conditions.pairings]
+            return contacts + [(t.pairing.is_mortar, t.pairing.rows.size) for t in conditions.ties]
+
+        return kinds(found) == kinds(self.conditions)
 
     def zeros(self) -> RowValues:
         """Return zeros at all conditions."""
@@ -532,42 +547,74 @@ class Adjoint(_Derivatives):
             slopes.append(self._difference(ends, size))
         return np.array(slopes)
 
-    def by_mesh(self, direction: Function, step: float = 1e-5) -> float:
-        """Return the derivative of J along a displacement of the nodes of the mesh. Collective.
+    def by_mesh(self, direction: Function | None = None, step: float = 1e-6) -> Any:
+        """Return the derivative of J by the places of the nodes of the mesh. Collective.
 
         Functions in the forms and in J move with the nodes. Rows of contacts and ties are
-        differentiated by central differences.
+        differentiated by central differences: along a direction by one, by all nodes by one for
+        each component and group of nodes that no row depends on two of. Pairs of nodes stay pairs,
+        also where nodes of one side alone have moved, if they are named by `partners` or the step
+        is less than what is one place.
 
         Parameters
         ----------
-        direction : Function
-            On vectors of Lagrange elements of the degree of the mesh's cells [m].
+        direction : Function, optional
+            On vectors of Lagrange elements of the degree of the mesh's cells [m]: the derivative
+            along a displacement of the nodes.
         step : float
-            Of the differences, relative to the size of the mesh over that of the direction.
+            Of the differences: the largest change of an edge relative to it, of moves with less
+            change than that the largest move relative to the size of the mesh.
+
+        Returns
+        -------
+        float, or Function without a direction
+            On the space of directions, with the derivatives by the coordinates of nodes [1/m].
 
         Raises
         ------
         InputError
-            The conditions of a contact are others on the moved nodes, such as pairs of nodes that
-            become mortar conditions: name them by `partners`.
+            The conditions of a contact are others on the moved nodes.
         """
         self._check_current()
+        domain = self._state.forms.u.function_space.mesh
+        if direction is None:
+            return self._by_all_nodes(domain, step)
+        return self._along_moves(direction, node_changes(direction, domain), step)
+
+    def _by_all_nodes(self, domain: Mesh, step: float) -> Function:
+        state, space = self._state, places_space(domain)
+        rows_at = self._rows_on_moved_nodes()
+        of_rows = derivative_by_places(state.conditions, space, rows_at, step)
+        of_forms = by_places(state.forms.work(self.z), domain)
+        return fill_owned(Function(space, name="dJ/dx"), of_forms + of_rows.ravel())
+
+    def _along_moves(self, direction: Function, moves: Vector, step: float) -> float:
+        state, domain = self._state, direction.function_space.mesh
+        move = largest_of_ranks(domain.comm, np.abs(moves)) / state.size_of_mesh()
+        size = step / (max(move, largest_distortion(domain, moves)) or 1.0)
+        rows_at = self._rows_on_moved_nodes()
+        change, ends = Function(direction.function_space), []
+        for s in (size, -size):
+            change.x.array[:] = s * direction.x.array
+            ends.append(rows_at(change))
+        slope = (ends[0] - ends[1]).sum() / (2.0 * size)
+        slope += by_places(state.forms.work(self.z), domain) @ owned_values(direction)
+        return float(domain.comm.allreduce(slope))
+
+    def _rows_on_moved_nodes(self) -> Callable[[Function], Vector]:
+        """Return `_of_rows` as a function of a displacement of the mesh's nodes."""
         state, domain = self._state, self._state.forms.u.function_space.mesh
-        moves, on_forms = node_changes(direction, domain), state.forms.work(self.z)
-        of_forms = domain.comm.allreduce(
-            float(by_places(on_forms, domain) @ owned_values(direction))
-        )
-        largest = largest_of_ranks(domain.comm, np.abs(moves)) or 1.0
-        size, x = step * state.size_of_mesh() / largest, domain.geometry.x.copy()
+        x = domain.geometry.x.copy()
         contacts = [state.used(contact) for contact in state.torn.data.contacts]
-        ends = []
-        try:
-            for s in (size, -size):
-                domain.geometry.x[:] = x + s * moves
-                ends.append(state.torn.found_anew(contacts))
-        finally:
-            domain.geometry.x[:] = x
-        return of_forms + self._difference(ends, size)
+
+        def rows_at(change: Function) -> Vector:
+            try:
+                domain.geometry.x[:] = x + node_changes(change, domain)
+                return self._of_rows(state.torn.found_anew(contacts))
+            finally:
+                domain.geometry.x[:] = x
+
+        return rows_at
 
     def _obstacle(self, name: str | int) -> RigidObstacle:
         found, _ = self._state.parts_of(name)[0]
@@ -583,12 +630,12 @@ class Adjoint(_Derivatives):
 
     def _difference(self, ends: Sequence[ContactSet], size: float) -> float:
         """Return the derivative of what rows do, from those of two ends."""
-        up, down = (self._of_rows(found) for found in ends)
+        up, down = (self._of_rows(found).sum() for found in ends)
         comm = self._state.torn.nodes.comm
         return float(comm.allreduce(up - down)) / (2.0 * size)
 
-    def _of_rows(self, found: ContactSet) -> float:
-        """Return this rank's part of what J changes by with rows, gaps and bounds.
+    def _of_rows(self, found: ContactSet) -> Vector:
+        """Return what J changes by with each row, its gap and bound: of contacts, then of ties.
 
         That is a'(g - N u) + b'(s - T u) - l'N z - t'T z, and what J has of the forces itself.
         """
@@ -597,7 +644,7 @@ class Adjoint(_Derivatives):
         friction = _along_old_tangents(
             found.friction_rows(state.origin), contacts.normal, state.linear.system.friction
         )
-        if contacts.size != state.linear.system.contacts.size or tied.size != adjoint.tied.size:
+        if any_rank(state.torn.nodes.comm, [not state.has_kinds_of(found)]):
             raise InputError(
                 "the conditions of contacts or ties are others after the change, so J jumps there: "
                 "name the kind of conditions by partners, or take a smaller step"
@@ -623,13 +670,13 @@ class Adjoint(_Derivatives):
         # also where a force turns: b follows the slip there
         rubs = (state.linear.sticking | state.slipping)[:, None]
         slip = np.where(rubs, origin - u.tangential, 0.0)
-        total = np.where(on, adjoint.normal * (gap - u.normal) - force * z.normal, 0.0).sum()
-        total += np.sum(adjoint.tangential * slip - tangential * z.tangential)
-        total += np.sum(adjoint.tied * (tied.gap / tied.length - u.tied))
-        total -= np.sum(state.solution.tied_force * z.tied)
         by_forces = self._functional.by_forces(contacts.normal, friction)
-        total += np.sum(by_forces.normal * force) + np.sum(by_forces.tangential * tangential)
-        return float(total)
+        of_contacts = np.where(on, adjoint.normal * (gap - u.normal) - force * z.normal, 0.0)
+        of_contacts += by_forces.normal * force
+        of_sites = adjoint.tangential * slip + tangential * (by_forces.tangential - z.tangential)
+        np.add.at(of_contacts, friction.row, of_sites.sum(axis=1))
+        of_ties = adjoint.tied * (tied.gap / tied.length - u.tied)
+        return np.concatenate([of_contacts, of_ties - state.solution.tied_force * z.tied])
 
 
 def _along_old_tangents(new: Friction, normal: Vector, old: Friction) -> Friction:

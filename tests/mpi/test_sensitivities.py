@@ -10,6 +10,7 @@ from sensitivity_scenes import (
     RTOL,
     block_on_roller,
     blocks,
+    mesh_direction,
     of_constant,
     of_contact,
     of_function,
@@ -18,6 +19,7 @@ from sensitivity_scenes import (
 )
 
 from fenics_tfeti import Coulomb, RigidBody, Tresca
+from fenics_tfeti.fem.displacement import owned_values
 
 COMM = MPI.COMM_WORLD
 KINDS = {
@@ -48,6 +50,10 @@ def derivatives(scene, kind):
         parameters.append(of_contact(scene, "bound", 1e-5))
     scene.solve()
     adjoint = scene.adjoint()
+    by_nodes = 0.0
+    if kind in ("mortar", "tied"):
+        gradient, along = owned_values(adjoint.by_mesh()), owned_values(mesh_direction(scene))
+        by_nodes = scene.scene.mesh.comm.allreduce(float(gradient @ along))
     slopes = [parameter.slope(adjoint) for parameter in parameters]
     tangents = [
         scene.change(scene.problem.tangent(**parameter.tangent, rtol=RTOL))
@@ -55,7 +61,7 @@ def derivatives(scene, kind):
         if parameter.tangent is not None
     ]
     loads = adjoint.by_load(0).tolist() if kind == "body" else []
-    return np.array([*slopes, *tangents, *loads])
+    return np.array([by_nodes, *slopes, *tangents, *loads])
 
 
 @pytest.mark.ranks(2, 3)

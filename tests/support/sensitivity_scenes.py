@@ -31,7 +31,7 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, RigidBody, Sphere, TiedPair
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.sensitivity.forms import node_changes
+from fenics_tfeti.fem.sensitivity.forms import node_changes, places_space
 
 # of the upper body's lower face, which touches near the middle
 CROWN, GAP = 0.02, 1e-3
@@ -109,6 +109,7 @@ def blocks(
     friction: Any = None,
     is_axisymmetric: bool = False,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    partners: Any = None,
     **options: Any,
 ) -> Sensitive:
     """Two blocks of n and m cells along an edge: the upper one is moved down and aside."""
@@ -128,9 +129,8 @@ def blocks(
         crowned(gdim),
         degree=degree,
     )
-    pair = ContactPair(
-        scene.facet_tags, SLAVE, MASTER, name="joint", friction=friction, roles="given"
-    )
+    how = {"friction": friction, "roles": "given", "partners": partners}
+    pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", **how)
     return sensitive(scene, [pair], is_axisymmetric, friction is not None, **options)
 
 
@@ -265,11 +265,27 @@ def of_contact(sensitive: Sensitive, kind: str, step: float) -> Parameter:
     return Parameter(set_value, slope, {to: {0: along}}, step)
 
 
+def mesh_direction(sensitive: Sensitive) -> fem.Function:
+    """Return a displacement of the nodes without a pattern, the same on any ranks."""
+    mesh = sensitive.scene.mesh
+    along = fem.Function(
+        _compat.lagrange_space(mesh, _compat.geometry_degree(mesh), mesh.geometry.dim)
+    )
+    along.interpolate(
+        lambda x: np.stack(
+            [
+                np.sin(1e3 * (i + 1) * x[0] + 2e3 * x[1] + 3e3 * x[2] + i)
+                for i in range(mesh.geometry.dim)
+            ]
+        )
+    )
+    return along
+
+
 def of_mesh(sensitive: Sensitive, step: float) -> Parameter:
     """Return a displacement of the nodes along which the kinds of conditions stay."""
     mesh, gdim = sensitive.scene.mesh, sensitive.scene.gdim
-    degree = _compat.geometry_degree(mesh)
-    along = fem.Function(_compat.lagrange_space(mesh, degree, gdim))
+    along = fem.Function(places_space(mesh))
     up = gdim - 1
     along.interpolate(
         lambda x: np.stack(

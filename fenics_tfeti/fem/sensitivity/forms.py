@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx.fem import Constant, Function
+from dolfinx.fem import Constant, Function, FunctionSpace
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
@@ -86,9 +86,14 @@ def by_places(work: ufl.Form, domain: Mesh) -> Vector:
 
     Functions move with the nodes.
     """
-    space = _compat.lagrange_space(domain, _compat.geometry_degree(domain), domain.geometry.dim)
+    space = places_space(domain)
     form = ufl.derivative(work, ufl.SpatialCoordinate(domain), ufl.TestFunction(space))
     return _compat.assembled(form, space)
+
+
+def places_space(domain: Mesh) -> FunctionSpace:
+    """Return the space of vectors at the mesh's nodes."""
+    return _compat.lagrange_space(domain, _compat.geometry_degree(domain), domain.geometry.dim)
 
 
 def node_changes(direction: Any, domain: Mesh) -> Vector:
