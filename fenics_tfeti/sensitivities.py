@@ -29,7 +29,12 @@ from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
-from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
+from fenics_tfeti.fem.contact.contact_set import (
+    ContactSet,
+    FoundContact,
+    FoundTie,
+    consecutive,
+)
 from fenics_tfeti.fem.contact.descriptions.contacts import (
     Contact,
     ContactPair,
@@ -169,6 +174,14 @@ class SolvedState:
         """Return the rows of a contact."""
         return np.concatenate([own for _, own in self.parts_of(name)])
 
+    def tie_of(self, name: str | int) -> tuple[FoundTie, Numbers] | None:
+        """Return a tie, by name or number, with its rows among those of all ties; None for none."""
+        sizes = [found.pairing.rows.size for found in self.conditions.ties]
+        for found, own in zip(self.conditions.ties, consecutive(sizes), strict=True):
+            if name in (found.number, found.pairing.name):
+                return found, own
+        return None
+
     def sides(self, name: str | int) -> Vector:
         """Return 1 for each row of a contact; -1 where slave and master were exchanged."""
         return np.concatenate(
@@ -270,17 +283,32 @@ class SolvedState:
     def nodal_forces(self, system: TornSystem, forces: RowValues) -> Vector:
         """Return N'a + T'b and those of ties (n,) at nodes that this rank owns. Collective."""
         nodes = self.torn.nodes
+        total = np.zeros((nodes.owned, nodes.components))
+        for numbers, terms in self._terms(system, forces):
+            in_mesh = numbers < nodes.total
+            total += nodes.sum_at_owners(numbers[in_mesh], terms[in_mesh])
+        return total.ravel()
+
+    def body_forces(self, system: TornSystem, forces: RowValues) -> Vector:
+        """Return N'a + T'b (b, gdim) at the nodes beyond those of the mesh. Collective."""
+        nodes, bodies = self.torn.nodes, self.conditions.bodies
+        total = np.zeros_like(bodies.free_displacements(nodes.total))
+        for numbers, terms in self._terms(system, forces):
+            beyond = (numbers >= nodes.total) & (numbers < nodes.total + len(total))
+            np.add.at(total, numbers[beyond] - nodes.total, terms[beyond])
+        return np.asarray(nodes.comm.allreduce(total))
+
+    def _terms(self, system: TornSystem, forces: RowValues) -> list[tuple[Numbers, Vector]]:
+        """Return nodes (t,) and their forces (t, gdim) by contact, tied and friction rows."""
         parts = [(system.contacts, forces.normal), (system.tied, forces.tied)]
-        # the sums below are collective, also for ranks without sites
-        if any_rank(nodes.comm, [system.friction.size > 0]):
+        # sums of them are collective, also for ranks without sites
+        if any_rank(self.torn.nodes.comm, [system.friction.size > 0]):
             tangential = system.friction.tangential_rows(system.contacts)
             parts.append((tangential, forces.tangential.ravel()))
-        total = np.zeros((nodes.owned, nodes.components))
-        for rows, values in parts:
-            in_mesh = rows.nodes < nodes.total
-            terms = (values / rows.length)[rows.row][:, None] * rows.coefficients
-            total += nodes.sum_at_owners(rows.nodes[in_mesh], terms[in_mesh])
-        return total.ravel()
+        return [
+            (rows.nodes, (values / rows.length)[rows.row][:, None] * rows.coefficients)
+            for rows, values in parts
+        ]
 
     def displacement(self, solution: LinearSolution, name: str) -> tuple[Function, list[Vector]]:
         """Return the displacement of a linear solution, and the motions of rigid bodies."""
@@ -386,6 +414,7 @@ class Adjoint(_Derivatives):
                 f"derivatives are infinite. Of dJ/du as a load: {error}"
             ) from None
         self.z, self._motions = state.displacement(solution, "z")
+        self._shortenings = state.conditions.shortenings(solution.displacements)
         self._solution = solution
 
     def _solved(self) -> LinearSolution:
@@ -472,12 +501,34 @@ class Adjoint(_Derivatives):
         return left - state.nodal_forces(state.linear.system, self._solution.forces)
 
     def by_gap(self, name: str | int) -> Vector:
-        """Return the derivatives (k,) of J by gaps at the nodes of ``results[name]``. Collective.
+        """Return the derivatives of J by gaps at the nodes of ``results[name]``. Collective.
 
-        With rigid bodies and obstacles too the gap is that along the normal, positive where open.
+        Of a contact they are (k,), by the gap along the normal, positive where open, also with
+        rigid bodies and obstacles. Of a tie they are (k, gdim), by what the displacement of the
+        slave's nodes, of mortar conditions the mean, is more than that of the master: by the jump
+        of a `PeriodicPair`.
         """
         self._check_current()
-        return self._solution.forces.normal[self._state.rows_of(name)]
+        forces = self._solution.forces
+        if tie := self._state.tie_of(name):
+            found, own = tie
+            return -found.pairing.forces(forces.tied[own])
+        return forces.normal[self._state.rows_of(name)]
+
+    def by_preload(self, name: str | int) -> float:
+        """Return the derivative of J by the force or the shortening of a bolt. Collective.
+
+        It is by the one that `BoltPreload` was given [N] or [m].
+        """
+        self._check_current()
+        tie, comm = self._state.tie_of(name), self._state.torn.nodes.comm
+        preload = tie[0].pairing.preload if tie else None
+        if preload is None:
+            raise InputError(f"contact {name!r} is no bolt, a BoltPreload")
+        if preload.body is None:
+            return float(comm.allreduce(self.by_gap(name).sum(axis=0)) @ preload.axis)
+        assert tie is not None
+        return self._shortenings[tie[0].number]
 
     def by_slip_bound(self, name: str | int) -> Vector:
         """Return the derivatives (k,) of J by slip bounds at the nodes of ``results[name]``.
@@ -505,13 +556,33 @@ class Adjoint(_Derivatives):
     def by_load(self, body: str | int) -> Vector:
         """Return the derivatives (modes,) of J by force and moment on a rigid body. Collective.
 
-        In 2D they are two of the force and one of the moment, in 3D three and three.
+        In 2D they are two of the force and one of the moment, in 3D three and three; zero for
+        components whose motion is prescribed.
         """
         self._check_current()
+        return self._motions[self._number_of(body)]
+
+    def by_motion(self, body: str | int) -> Vector:
+        """Return the derivatives (modes,) of J by the motion of a rigid body. Collective.
+
+        They are by prescribed translations [m] and small rotations [rad] in the components of
+        `by_load`, and rounding for components that are free.
+        """
+        self._check_current()
+        state, number = self._state, self._number_of(body)
+        bodies = state.conditions.bodies
+        frame, first = bodies.frames[number], state.torn.nodes.total
+        at_corners = state.body_forces(state.linear.system, self._solution.forces)
+        work = frame.work(at_corners[frame.nodes - first])
+        given = state.torn.resultants(self._functional.u, bodies)
+        on_cells = given[number] if number < len(given) else 0.0
+        return on_cells - frame.body.stiffness @ self._motions[number] - work
+
+    def _number_of(self, body: str | int) -> int:
         names = self._state.conditions.bodies.names
         if body not in names and body not in range(len(names)):
             raise InputError(f"there is no rigid body {body!r}; there are {names}")
-        return self._motions[names.index(body) if body in names else int(body)]
+        return names.index(body) if body in names else int(body)
 
     def by_obstacle(
         self, name: str | int, change: Callable[[float], Contact] | None = None, step: float = 1e-5
@@ -547,7 +618,7 @@ class Adjoint(_Derivatives):
             slopes.append(self._difference(ends, size))
         return np.array(slopes)
 
-    def by_mesh(self, direction: Function | None = None, step: float = 1e-6) -> Any:
+    def by_mesh(self, direction: Function | None = None, step: float = 5e-6) -> Any:
         """Return the derivative of J by the places of the nodes of the mesh. Collective.
 
         Functions in the forms and in J move with the nodes. Rows of contacts and ties are
@@ -574,6 +645,12 @@ class Adjoint(_Derivatives):
         ------
         InputError
             The conditions of a contact are others on the moved nodes.
+
+        Warns
+        -----
+        UserWarning
+            The derivatives by all nodes disagree with that along a direction, as at kinks: where
+            nodes are on the borders of both surfaces.
         """
         self._check_current()
         domain = self._state.forms.u.function_space.mesh

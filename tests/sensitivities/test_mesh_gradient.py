@@ -34,7 +34,7 @@ def by_nodes_and_along(scene):
 @pytest.mark.parametrize("kind", CASES)
 def test_by_all_nodes(kind):
     slope, along = by_nodes_and_along(KINDS[kind]())
-    assert slope == pytest.approx(along, rel=1e-6 if kind == "3D" else 1e-7)
+    assert slope == pytest.approx(along, rel=1e-7)
 
 
 def test_rows_that_depend_on_far_nodes(monkeypatch):
@@ -42,6 +42,14 @@ def test_rows_that_depend_on_far_nodes(monkeypatch):
     monkeypatch.setattr(row_supports, "_RINGS", 1)
     slope, along = by_nodes_and_along(blocks(n=4, m=5))
     assert slope == pytest.approx(along, rel=1e-7)
+
+
+def test_derivatives_that_do_not_add_up(monkeypatch):
+    monkeypatch.setattr(row_supports, "_SAME_SLOPE", -1.0)
+    scene = block_on_roller()
+    scene.solve()
+    with pytest.warns(UserWarning, match="do not add up to that along a direction"):
+        scene.adjoint().by_mesh()
 
 
 @pytest.mark.parametrize("all_nodes", [False, True])

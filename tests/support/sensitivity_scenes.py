@@ -29,7 +29,15 @@ from scenes import (
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, RigidBody, Sphere, TiedPair
+from fenics_tfeti import (
+    BoltPreload,
+    ContactPair,
+    ContactProblem,
+    PeriodicPair,
+    RigidBody,
+    Sphere,
+    TiedPair,
+)
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.sensitivity.forms import node_changes, places_space
 
@@ -352,12 +360,14 @@ def block_on_roller(
     return sensitive(scene, scene.contacts, moves_aside=friction is not None, clamped=LOADED)
 
 
-def tied_stack(comm: MPI.Comm = MPI.COMM_WORLD) -> Sensitive:
-    """Return two blocks with other meshes, tied to each other, pressed onto a rigid roller."""
+def tied_stack(
+    comm: MPI.Comm = MPI.COMM_WORLD, kind: type[Any] = TiedPair, upper: int = 3, **data: Any
+) -> Sensitive:
+    """Return two blocks, by default of other meshes, tied to each other and pressed on a roller."""
     scene = Scene.of_boxes(
         comm,
         "triangle",
-        [((0, 0), (1, 1), (5, 5)), ((0, 1), (1, 2), (3, 3))],
+        [((0, 0), (1, 1), (5, 5)), ((0, 1), (1, 2), (upper, upper))],
         [
             (GROUND, at(1, 0.0), 1),
             (MASTER, at(1, 1.0), 1),
@@ -367,5 +377,81 @@ def tied_stack(comm: MPI.Comm = MPI.COMM_WORLD) -> Sensitive:
         ],
     )
     scene.add_obstacle(GROUND, Sphere([0.45, -2.0], 2.0), name="joint")
-    scene.contacts.append(TiedPair(scene.facet_tags, SLAVE, MASTER))
+    scene.contacts.append(kind(scene.facet_tags, SLAVE, MASTER, name="tie", **data))
     return sensitive(scene, scene.contacts, moves_aside=False, clamped=LOADED)
+
+
+def periodic_block() -> Sensitive:
+    """Return a block pressed onto a roller, of whose sides the middle parts are a periodic pair."""
+
+    def middle(side: float) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
+        return lambda x: np.isclose(x[0], side) & (np.abs(x[1] - 0.5) < 0.31)
+
+    marks = [
+        (GROUND, at(1, 0.0)),
+        (LOADED, at(1, 1.0)),
+        (MASTER, middle(0.0)),
+        (SLAVE, middle(1.0)),
+    ]
+    lower = lambda x: np.isclose(x[0], 1.0) & (x[1] < 0.21)  # noqa: E731
+    box = (0.0, 0.0), (1.0, 1.0), (5, 5)
+    scene = Scene.of_boxes(MPI.COMM_WORLD, "triangle", [box], [*marks, (SIDE_X, lower)])
+    scene.cell_tags = None
+    scene.add_obstacle(GROUND, Sphere([0.45, -2.0], 2.0), name="joint")
+    sides = {"slave": SLAVE, "master": MASTER, "translation": (1.0, 0.0)}
+    pair = PeriodicPair(scene.facet_tags, **sides, jump=(1e-3, -2e-3), name="tie")
+    scene.contacts.append(pair)
+    return sensitive(scene, scene.contacts, moves_aside=False, clamped=LOADED)
+
+
+def of_tie(sensitive: Sensitive, step: float) -> Parameter:
+    """Return a change of the preload of a bolt, or of the jump of a periodic pair."""
+    problem, (joint, tie) = sensitive.problem, sensitive.contacts
+    if isinstance(tie, BoltPreload):
+        name = "shortening" if tie.force is None else "force"
+
+        def changed(s: float) -> Any:
+            return replace(tie, **{name: getattr(tie, name) + s})
+
+        return _of_contacts(problem, [joint], changed, lambda adj: adj.by_preload("tie"), step)
+
+    def with_jump(s: float) -> Any:
+        jump = np.array(tie.jump)[:, None]
+        return replace(tie, jump=lambda x: jump + s * np.stack([1.0 + x[1], x[1] ** 2]))
+
+    def slope(adjoint: Any) -> float:
+        y = problem.results["tie"].coordinates[:, 1]
+        along = np.stack([1.0 + y, y**2], axis=1)
+        return sensitive.scene.mesh.comm.allreduce(float(np.sum(adjoint.by_gap("tie") * along)))
+
+    return _of_contacts(problem, [joint], with_jump, slope, step)
+
+
+def of_motion(sensitive: Sensitive, step: float) -> Parameter:
+    """Return a change of the prescribed motion of the roller."""
+    contact, along = sensitive.joint, np.array([0.3, 1.0, 0.5])
+
+    def changed(s: float) -> Any:
+        body = contact.body
+        motion = np.append(body.translation, body.rotation) + s * along
+        return replace(contact, body=replace(body, translation=motion[:2], rotation=motion[2]))
+
+    def slope(adjoint: Any) -> float:
+        return float(adjoint.by_motion(0) @ along)
+
+    return _of_contacts(sensitive.problem, [], changed, slope, step)
+
+
+def _of_contacts(
+    problem: ContactProblem,
+    first: list[Any],
+    changed: Callable[[float], Any],
+    slope: Callable[[Any], float],
+    step: float,
+) -> Parameter:
+    """Return a change of the contact after the first ones."""
+
+    def set_value(s: float) -> None:
+        problem.contacts = [*first, changed(s)]
+
+    return Parameter(set_value, slope, None, step)

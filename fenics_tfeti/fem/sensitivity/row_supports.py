@@ -20,7 +20,13 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_vertices, exterior_facets, owned_cells, vertex_nodes
-from fenics_tfeti.parallel import concatenate_ranks, first_of_rank, largest_of_ranks, positions
+from fenics_tfeti.parallel import (
+    concatenate_ranks,
+    first_of_rank,
+    largest_of_ranks,
+    positions,
+    warn_on_first_rank,
+)
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 # normals at the corners of the facets around a row's nodes are means over the facets around these
@@ -125,9 +131,17 @@ def derivative_by_places(
         wide = supports.widened(rings)
         slopes = _by_groups(wide, rows_at, steps)
         terms = slopes * units
-        if abs(terms.sum() - slope) <= _SAME_SLOPE * np.abs(terms).sum():
+        error, size = abs(terms.sum() - slope), np.abs(terms).sum()
+        if error <= _SAME_SLOPE * size:
             break
         if wide.all_rows.nnz == supports.widened(rings + 1).all_rows.nnz:
+            warn_on_first_rank(
+                comm,
+                "derivatives by the places of nodes do not add up to that along a direction: they "
+                f"differ by {error / size:.1e} of their magnitudes. Of nodes on the borders of "
+                "both surfaces of a contact, J has derivatives of one side only; of others, a "
+                "larger step may help",
+            )
             break
         rings *= 2
     total = np.zeros((supports.nodes.owned, shape[1]))

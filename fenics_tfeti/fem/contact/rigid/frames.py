@@ -142,6 +142,11 @@ class BodyFrame:
         """Return the displacements (k, gdim) of points (k, gdim) in a small motion [m]."""
         return _displacements(motion, points - self.body.point)
 
+    def work(self, forces: Vector) -> Vector:
+        """Return the work (modes,) of forces (n, gdim) at the corners in unit motions."""
+        work: Vector = forces.ravel() @ _modes(self.corners - self.body.point)
+        return work
+
     def terms(
         self, row: Numbers, points: Vector, coefficients: Vector
     ) -> tuple[Numbers, Numbers, Vector]:
@@ -269,9 +274,9 @@ class RigidBodies:
         """
         left = [np.zeros(0)]
         for frame in self.frames:
-            body, modes = frame.body, _modes(frame.corners - frame.body.point)
+            body = frame.body
             load = frame.load - body.stiffness @ frame.with_prescribed(frame.motion)
-            load += forces[frame.nodes - first].ravel() @ modes
+            load += frame.work(forces[frame.nodes - first])
             left.append(np.where(body.is_free, load, 0.0) @ frame.to_motion)
         return np.concatenate(left)
 
