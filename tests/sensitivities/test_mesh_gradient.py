@@ -16,7 +16,7 @@ KINDS = {
     "obstacle": partial(block_on_roller, Tresca(1.5e-3)),
     "degree 2": partial(blocks, "quadrilateral", 2, 3, degree=2),
     "axisymmetric": partial(blocks, n=4, m=5, is_axisymmetric=True),
-    "3D": partial(blocks, "tetrahedron", 2, 3, friction=Coulomb(0.3)),
+    "3D": partial(blocks, "tetrahedron", 1, 2),
 }
 QUICK = ("node pairs", "mortar", "tied", "obstacle")
 CASES = [pytest.param(k, marks=[] if k in QUICK else pytest.mark.heavy) for k in KINDS]
