@@ -29,6 +29,7 @@ from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
+from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
 from fenics_tfeti.fem.contact.contact_set import (
     ContactSet,
     FoundContact,
@@ -40,7 +41,8 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
     ContactPair,
     RigidObstacle,
 )
-from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.descriptions.partners import Nearest
+from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, PeriodicPair, Tie
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
@@ -127,12 +129,27 @@ class SolvedState:
             largest_of_ranks(comm, column) + largest_of_ranks(comm, -column) for column in x.T
         )
 
-    def used(self, contact: Contact | Tie) -> Contact | Tie:
-        """Return a contact in the roles in which it is used, which stay."""
+    def used(self, contact: Contact | Tie, keep_pairs: bool = False) -> Contact | Tie:
+        """Return a contact in the roles in which it is used, which stay; maybe with its partners.
+
+        Pairs of nodes become mortar conditions where nodes of one side alone move, by default.
+        """
         for found in self.conditions.contacts:
             if found.roles.given is contact and isinstance(found.contact, ContactPair):
-                return replace(found.contact, roles="given")
+                partners = found.contact.partners
+                if keep_pairs and partners is None and not found.pairing.is_mortar:
+                    partners = Nearest()
+                return replace(found.contact, roles="given", partners=partners)
         return contact
+
+    @property
+    def matched_ties(self) -> dict[int, TiedPairing]:
+        """The ties, by number, of nodes that match: one alone cannot move."""
+        return {
+            found.number: found.pairing
+            for found in self.conditions.ties
+            if isinstance(found.tie, PeriodicPair | BoltPreload)
+        }
 
     def prescribed_changes(
         self, data: Mapping[Any, Any]
@@ -618,14 +635,14 @@ class Adjoint(_Derivatives):
             slopes.append(self._difference(ends, size))
         return np.array(slopes)
 
-    def by_mesh(self, direction: Function | None = None, step: float = 5e-6) -> Any:
+    def by_mesh(self, direction: Function | None = None, step: float = 3e-5) -> Any:
         """Return the derivative of J by the places of the nodes of the mesh. Collective.
 
         Functions in the forms and in J move with the nodes. Rows of contacts and ties are
         differentiated by central differences: along a direction by one, by all nodes by one for
-        each component and group of nodes that no row depends on two of. Pairs of nodes stay pairs,
-        also where nodes of one side alone have moved, if they are named by `partners` or the step
-        is less than what is one place.
+        each component and group of nodes that no row depends on two of. By all nodes, pairs of
+        nodes stay pairs, and the rows of bolts and periodic pairs stay as they are: the turn of a
+        bolt's axis is in derivatives along directions that move both sides of the cut alike.
 
         Parameters
         ----------
@@ -644,7 +661,8 @@ class Adjoint(_Derivatives):
         Raises
         ------
         InputError
-            The conditions of a contact are others on the moved nodes.
+            The conditions of a contact are others on the moved nodes, such as pairs of nodes that
+            become mortar conditions along a direction: name them by `partners`.
 
         Warns
         -----
@@ -660,7 +678,7 @@ class Adjoint(_Derivatives):
 
     def _by_all_nodes(self, domain: Mesh, step: float) -> Function:
         state, space = self._state, places_space(domain)
-        rows_at = self._rows_on_moved_nodes()
+        rows_at = self._rows_on_moved_nodes(one_by_one=True)
         of_rows = derivative_by_places(state.conditions, space, rows_at, step)
         of_forms = by_places(state.forms.work(self.z), domain)
         return fill_owned(Function(space, name="dJ/dx"), of_forms + of_rows.ravel())
@@ -678,16 +696,20 @@ class Adjoint(_Derivatives):
         slope += by_places(state.forms.work(self.z), domain) @ owned_values(direction)
         return float(domain.comm.allreduce(slope))
 
-    def _rows_on_moved_nodes(self) -> Callable[[Function], Vector]:
-        """Return `_of_rows` as a function of a displacement of the mesh's nodes."""
+    def _rows_on_moved_nodes(self, one_by_one: bool = False) -> Callable[[Function], Vector]:
+        """Return `_of_rows` as a function of a displacement of the mesh's nodes.
+
+        Where nodes move one by one, pairs of them stay pairs.
+        """
         state, domain = self._state, self._state.forms.u.function_space.mesh
         x = domain.geometry.x.copy()
-        contacts = [state.used(contact) for contact in state.torn.data.contacts]
+        contacts = [state.used(contact, one_by_one) for contact in state.torn.data.contacts]
+        kept = state.matched_ties if one_by_one else None
 
         def rows_at(change: Function) -> Vector:
             try:
                 domain.geometry.x[:] = x + node_changes(change, domain)
-                return self._of_rows(state.torn.found_anew(contacts))
+                return self._of_rows(state.torn.found_anew(contacts, kept))
             finally:
                 domain.geometry.x[:] = x
 

@@ -17,6 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
@@ -135,13 +136,15 @@ class TornProblem:
         self.undeformed = replace(self.undeformed, prescribed=prescribed)
         return True
 
-    def found_anew(self, contacts: Sequence[Contact | Tie]) -> ContactSet:
+    def found_anew(
+        self, contacts: Sequence[Contact | Tie], kept: Mapping[int, TiedPairing] | None = None
+    ) -> ContactSet:
         """Return the conditions of contacts on the nodes as they are now. Collective.
 
-        The problem keeps those that it has.
+        The problem keeps those that it has. Ties with the numbers of those kept stay as they are.
         """
         search = self._search.on_moved_nodes()
-        return search.find(list(contacts), prescribed_values(self.space, self.data.bcs))
+        return search.find(list(contacts), prescribed_values(self.space, self.data.bcs), kept)
 
     def _find(self, search: ContactSearch, data: ProblemData) -> ContactSet:
         return search.find(data.contacts, prescribed_values(self.space, data.bcs))

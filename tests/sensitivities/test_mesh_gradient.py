@@ -10,13 +10,13 @@ from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.sensitivity import row_supports
 
 KINDS = {
-    "node pairs": partial(blocks, partners=Nearest(0.3)),
+    "node pairs": partial(blocks, partners=Nearest()),
     "mortar": partial(blocks, n=4, m=5, friction=Coulomb(0.2)),
     "tied": tied_stack,
     "obstacle": partial(block_on_roller, Tresca(1.5e-3)),
     "degree 2": partial(blocks, "quadrilateral", 2, 3, degree=2),
     "axisymmetric": partial(blocks, n=4, m=5, is_axisymmetric=True),
-    "3D": partial(blocks, "tetrahedron", 1, 2),
+    "3D obstacle": partial(block_on_roller, Coulomb(0.3), "hexahedron"),
 }
 QUICK = ("node pairs", "mortar", "tied", "obstacle")
 CASES = [pytest.param(k, marks=[] if k in QUICK else pytest.mark.heavy) for k in KINDS]
@@ -37,6 +37,15 @@ def test_by_all_nodes(kind):
     assert slope == pytest.approx(along, rel=1e-7)
 
 
+def test_pairs_of_nodes_stay_pairs():
+    """Also those that are found without partners."""
+    found, named = (blocks(n=3, m=3, partners=partners) for partners in (None, Nearest()))
+    for scene in (found, named):
+        scene.solve()
+    gradient, expected = (owned_values(scene.adjoint().by_mesh()) for scene in (found, named))
+    assert gradient == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max())
+
+
 def test_rows_that_depend_on_far_nodes(monkeypatch):
     """Supports that are too narrow are found out, and widened."""
     monkeypatch.setattr(row_supports, "_RINGS", 1)
@@ -52,10 +61,9 @@ def test_derivatives_that_do_not_add_up(monkeypatch):
         scene.adjoint().by_mesh()
 
 
-@pytest.mark.parametrize("all_nodes", [False, True])
-def test_node_pairs_that_become_mortar_conditions(all_nodes):
+def test_node_pairs_that_become_mortar_conditions():
     scene = blocks(n=3, m=3)
     scene.solve()
-    adjoint, along = scene.adjoint(), None if all_nodes else mesh_direction(scene)
+    adjoint, along = scene.adjoint(), mesh_direction(scene)
     with pytest.raises(InputError, match="name the kind of conditions by partners"):
-        adjoint.by_mesh(along, step=1e-3)
+        adjoint.by_mesh(along)

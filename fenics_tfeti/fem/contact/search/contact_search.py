@@ -86,8 +86,16 @@ class ContactSearch:
                 self._space, self._bodies, self._rigid_tags, self.boundary.coordinates
             )
 
-    def find(self, contacts: Sequence[Contact | Tie], prescribed: Prescribed) -> ContactSet:
-        """Return the undeformed conditions; only what changed is searched again. Collective."""
+    def find(
+        self,
+        contacts: Sequence[Contact | Tie],
+        prescribed: Prescribed,
+        kept: Mapping[int, TiedPairing] | None = None,
+    ) -> ContactSet:
+        """Return the undeformed conditions; only what changed is searched again. Collective.
+
+        Ties that are kept, by number, are not searched.
+        """
         ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
         given = {k: contact for k, contact in enumerate(contacts) if not isinstance(contact, Tie)}
         last_contacts = self._last.contacts if self._last else []
@@ -120,7 +128,7 @@ class ContactSearch:
             fixed = prescribed_components(self.boundary.nodes, prescribed)
             mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
             old = {k: mortar[id(tie)] for k, tie in ties.items() if id(tie) in mortar}
-            unchanged, found_ties = _unchanged(self.boundary, old, fixed), []
+            unchanged, found_ties = _unchanged(self.boundary, old, fixed) | dict(kept or {}), []
             preloads = {found.number: found.pairing.preload for found in last.ties}
             for k, tie in ties.items():
                 tied = unchanged.get(k) or rows_of_tie(
