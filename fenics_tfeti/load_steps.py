@@ -365,7 +365,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         conditions = self._torn.undeformed if solved is None else solved.conditions
         # obstacles of the user may have no value where a failure has left the surfaces
         with suppress(InputError):
-            error = wrong_side(conditions, self.u)
+            error = wrong_side(conditions, self.u, self._torn.bodies)
         if error is not None:
             self._is_solved = False
             raise error from failure

@@ -258,3 +258,18 @@ def test_surfaces_that_look_the_same_way(kind, is_held):
         problem.solve()
     assert not isinstance(caught.value, UnresistedMotion)
     assert not problem.u.x.array.any()
+
+
+def test_bodies_inside_each_other_are_told():
+    """The side of a block is tagged in place of its lower face, and the block is pushed down."""
+    parts = [((0, 0), (1, 1), (4, 4)), ((0, 1.1), (1, 2), (5, 4))]
+    marks = [(GROUND, at(1, 0.0), 1), (MASTER, at(1, 1.0), 1)]
+    marks += [(SLAVE, at(0, 1.0), 2), (CLAMPED, at(1, 2.0), 2)]
+    scene = scenes.Scene.of_boxes(COMM, "quadrilateral", parts, marks, young=1.0)
+    scene.fix(GROUND)
+    scene.fix(CLAMPED, value=np.array([0.0, -0.2]))
+    scene.add_pair(roles="given", name="joint")
+    problem = nonlinear(Bodies(scene, False))
+    for _ in range(2):
+        with pytest.raises(InputError, match="^joint: slave and master have not met, and one of"):
+            problem.solve()

@@ -8,17 +8,26 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.conditions.checks import points_away
 from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
-from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.mortar.facets import cross
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface
-from fenics_tfeti.parallel import any_rank
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.topology import batches, cell_type, cells_of_facets
+from fenics_tfeti.parallel import any_rank, concatenate_ranks
+from fenics_tfeti.typing import Mask, Vector
 
+# nodes of a surface that are looked at, and how deep inside they are, relative to facets
+_POINTS, _DEPTH = 200, 1e-3
+# numbers in the arrays that are computed with at once
+_ENTRIES = 2**20
 # cosine of the angle from which on surfaces look the same way; those with less of one, as the side
 # of a block below a die, may turn until they meet
 _SAME_WAY = 0.1
@@ -37,25 +46,56 @@ def contacts_apart(conditions: ContactSet, uh: Function) -> list[list[FoundConta
     return [parts for parts, count in zip(contacts.values(), counts, strict=True) if not count]
 
 
-def wrong_side(conditions: ContactSet, uh: Function) -> InputError | None:
-    """Return the error that displaced surfaces are apart and look the same way. Collective.
+def wrong_side(conditions: ContactSet, uh: Function, bodies: Bodies) -> InputError | None:
+    """Return the error that displaced surfaces are apart, and never meet. Collective.
 
-    At all nodes, that is: no small turn of either surface lets them meet.
+    They look the same way at all nodes: no small turn of either surface lets them meet. Or the
+    bodies are inside each other, and no other contact is between them.
     """
     comm = conditions.boundary.nodes.comm
     for parts in contacts_apart(conditions, uh):
         along = np.concatenate([_along_normals(part, conditions, uh) for part in parts])
         nodes, name = comm.allreduce(along.size), parts[0].pairing.name
-        if not nodes or any_rank(comm, along < _SAME_WAY):
-            continue
-        if parts[0].pairing.master_surface is None:
-            return points_away(name, nodes)
-        return InputError(
-            f"{name}: slave and master have not met, and look the same way at all {nodes} slave "
-            "nodes: the outward normals of surfaces that touch point against each other. Is one of "
-            "the tags on the far side of its body, or on another body?"
-        )
+        is_pair = parts[0].pairing.master_surface is not None
+        if nodes and not any_rank(comm, along < _SAME_WAY):
+            if not is_pair:
+                return points_away(name, nodes)
+            return InputError(
+                f"{name}: slave and master have not met, and look the same way at all {nodes} "
+                "slave nodes: the outward normals of surfaces that touch point against each other. "
+                "Is one of the tags on the far side of its body, or on another body?"
+            )
+        if is_pair and (place := _place_inside(parts[0], conditions, uh, bodies)):
+            return InputError(
+                f"{name}: slave and master have not met, and one of the bodies is inside the other "
+                f"at {place}. Is one of the tags on another side of its body? Bodies are kept "
+                "apart where surfaces with the tags are opposite each other"
+            )
     return None
+
+
+def _place_inside(found: FoundContact, conditions: ContactSet, uh: Function, bodies: Bodies) -> str:
+    """Return a place of a surface inside the other body, or an empty text. Collective.
+
+    Bodies that other contacts, or ties, keep apart or together may be inside each other a little.
+    """
+    boundary = conditions.boundary.deformed(uh)
+    sides = _bodies_of(found.contact, conditions, bodies)
+    others: list[Contact | Tie] = [entry.tie for entry in conditions.ties]
+    others += [entry.contact for entry in conditions.contacts if entry.number != found.number]
+    joined = [_bodies_of(other, conditions, bodies) for other in others]
+    between = any(sides[0] & x[k] and sides[1] & x[1 - k] for x in joined for k in (0, 1))
+    if sides[0] & sides[1] or between:
+        return ""
+    surfaces = [surface.on(boundary) for surface in found.pairing.surfaces]
+    for surface, other in zip(surfaces, sides[::-1], strict=True):
+        corners = _boundary_of(boundary, bodies, other)
+        x, size = (concatenate_ranks(surface.comm, each) for each in (surface.points, surface.size))
+        some = np.unique(np.linspace(0, len(x) - 1, min(len(x), _POINTS)).astype(int))
+        inside = _is_inside(x[some], _DEPTH * size[some], corners)
+        if inside.any():
+            return format_point(x[some][inside.argmax()])
+    return ""
 
 
 def _opposite(found: FoundContact, conditions: ContactSet, uh: Function) -> int:
@@ -90,3 +130,62 @@ def _displaced(surface: Surface, uh: Function) -> Surface:
     facets = gather_nearby(surface, surface)
     rows = np.searchsorted(facets.nodes, surface.nodes)
     return replace(surface, normal=facets.normal[rows])
+
+
+def _bodies_of(
+    user: Contact | Tie, conditions: ContactSet, bodies: Bodies
+) -> tuple[set[int], set[int]]:
+    """Return the bodies on both sides of a contact or tie of tagged surfaces. Collective."""
+    domain = conditions.boundary.space.mesh
+    sides = list[set[int]]()
+    for name in ("slave", "master"):
+        found = np.zeros(0, dtype=np.int64)
+        if hasattr(user, "facet_tags") and hasattr(user, name):
+            facets = owned_facets(domain, user.facet_tags, getattr(user, name))
+            cells = cells_of_facets(domain, facets)[0]
+            found = bodies.of_cell[cells[cells < bodies.of_cell.size]]
+        sides.append(set(concatenate_ranks(domain.comm, np.unique(found)).tolist()))
+    return sides[0], sides[1]
+
+
+def _boundary_of(boundary: MeshBoundary, bodies: Bodies, chosen: set[int]) -> Vector:
+    """Return the corners (f, v, gdim) of all facets around some bodies. Collective."""
+    domain = boundary.space.mesh
+    facets = np.flatnonzero(boundary.exterior).astype(np.int32)
+    cells = cells_of_facets(domain, facets)[0]
+    is_own = cells < bodies.of_cell.size
+    facets, cells = facets[is_own], cells[is_own]
+    facets = facets[np.isin(bodies.of_cell[cells], list(chosen))]
+    vertices = oriented_facets(boundary.space, facets)[:, : cell_type(domain).facet.vertices]
+    return concatenate_ranks(domain.comm, boundary.coordinates[vertices, : domain.geometry.dim])
+
+
+def _is_inside(x: Vector, depth: Vector, corners: Vector) -> Mask:
+    """Tell which points (k, d), and all around them within a depth (k,), are inside a surface."""
+    inside = np.ones(len(x), dtype=bool)
+    for shift in (*np.eye(x.shape[1]), *-np.eye(x.shape[1])):
+        inside &= winding_number(x + depth[:, None] * shift, corners) > 0.5
+    return inside
+
+
+def winding_number(x: Vector, corners: Vector) -> Vector:
+    """Return how often a closed surface of facets (f, v, d) winds around points (k, d).
+
+    It is 1 inside and 0 outside: the sum of the angles, or solid angles (van Oosterom and Strackee,
+    1983), under which the facets are seen.
+    """
+    total = np.zeros(len(x))
+    for batch in batches(len(x), max(1, _ENTRIES // max(1, corners.size))):
+        a = corners - x[batch, None, None]
+        if x.shape[1] == 2:
+            (p, q), (r, s) = np.moveaxis(a, (2, 3), (0, 1))
+            total[batch] = np.arctan2(p * s - q * r, p * r + q * s).sum(axis=1) / (2.0 * np.pi)
+            continue
+        for k in range(1, a.shape[2] - 1):
+            i, j, l = a[:, :, 0], a[:, :, k], a[:, :, k + 1]
+            m, n, o = (np.linalg.norm(side, axis=2) for side in (i, j, l))
+            volume = np.sum(i * cross(j, l), axis=2)
+            ij, jl, il = (np.sum(e * f, axis=2) for e, f in ((i, j), (j, l), (i, l)))
+            angle = np.arctan2(volume, m * n * o + ij * o + jl * m + il * n)
+            total[batch] += angle.sum(axis=1) / (2.0 * np.pi)
+    return total
