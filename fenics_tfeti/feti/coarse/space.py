@@ -179,10 +179,16 @@ class CoarseSpace:
 
     def rigid_motion(self, coarse: Vector) -> Vector:
         """Return R a on this rank's torn unknowns for a coarse vector of all ranks."""
-        own = self.own_part(coarse)
+        return self._moved(self.own_part(coarse), lambda part: part)
+
+    def rigid_motion_size(self, coarse: Vector) -> Vector:
+        """Return |R||a|, which the rounding of R a is relative to."""
+        return self._moved(np.abs(self.own_part(coarse)), np.abs)
+
+    def _moved(self, own: Vector, measure: Callable[[Vector], Vector]) -> Vector:
         displacement = np.empty(self.constraints.matrix.shape[1])
         for congruent in self.interface.classes:
-            R = self.kernels[congruent.first]
+            R = measure(self.kernels[congruent.first])
             for batch in congruent.batches():
                 batch.put(displacement, own[self._places(batch)] @ R.T)
         return displacement

@@ -22,7 +22,11 @@ import numpy as np
 
 from fenics_tfeti.errors import first_few
 from fenics_tfeti.feti import interruption
-from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
+from fenics_tfeti.feti.coarse.prescribed_motion import (
+    closing_motion,
+    prescribed_motion,
+    without_motion,
+)
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
@@ -75,19 +79,25 @@ def iterate_until_certified(
     With `bounds`, the slip bounds (k,) that multipliers make, projected gradients go first, whose
     bounds follow the forces.
 
-    Rigid motions that supports prescribe are taken out, and put back in the end. Gaps that are far
-    from closing are shortened: all contact rows share the projector, so a gap out of all proportion
-    would swamp the others by rounding. As long as no row with a shortened gap closes, the solution
-    is the same; if one does, the gaps are lengthened. Without `start` the first multipliers vanish.
+    Rigid motions that supports prescribe, and those that close the contacts which press at the
+    start, are taken out, and put back in the end. Gaps that are far from closing are shortened: all
+    contact rows share the projector, so a gap out of all proportion would swamp the others by
+    rounding. As long as no row with a shortened gap closes, the solution is the same; if one does,
+    the gaps are lengthened. Without `start` the first multipliers vanish.
     """
     setup, data = context.setup, context.data
+    rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
     with context.timer.phase("iterations"):
         coarse_space = setup.projector.coarse_space
         motion = prescribed_motion(coarse_space, data.c)
         removed = coarse_space.prolong(motion)
-        data = replace(data, c=data.c - removed, removed=removed)
+        c = data.c - removed
+        if context.options.method != "smalbe":
+            # whose start has no regard to gaps
+            closing = closing_motion(coarse_space, c, data.feasible[rows] > 0.0)
+            motion, c = motion + closing, without_motion(coarse_space, c, closing)
+        data = replace(data, c=c, motion=motion, removed=removed)
         feasible = FeasibleState.of(setup, data)
-    rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
     longest = FAR * feasible.largest_jump
     while True:
         shortened = (data.c[rows] > longest) & (longest > 0.0)
@@ -351,7 +361,7 @@ class _Loop:
                 constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
             )
             recovered = recover_displacement(
-                setup.F, face, data.load, data.c, multipliers, setup.local.unit
+                setup.F, face, data.load, data.c, multipliers, setup.local.unit, data.motion
             )
             return self._certified(recovered, multipliers, face)
 

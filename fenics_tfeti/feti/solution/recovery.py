@@ -100,20 +100,29 @@ def _is_balanced(face: Projector, e: Vector, multipliers: Vector) -> bool:
 
 
 def recover_displacement(
-    F: DualOperator, face: Projector, load: Vector, c: Vector, multipliers: Vector, unit: float
+    F: DualOperator,
+    face: Projector,
+    load: Vector,
+    c: Vector,
+    multipliers: Vector,
+    unit: float,
+    removed: Vector | None = None,
 ) -> Recovered:
     """Return u_t of (11.29), and the nearest displacement on which the constraints hold.
 
     alpha makes the equality rows and the rows with a force, those of the face, hold in the least
     squares sense (end of sec. 11.6). Where these leave motions free, it is the one of smallest norm
-    that penetrates nothing. A weight of 1 stands for the stiffness `unit` [N/m].
+    that penetrates nothing, together with motions (coarse,) that were removed from c. A weight of 1
+    stands for the stiffness `unit` [N/m].
     """
     coarse_space, rows = face.coarse_space, F.constraints.inequality
     # what rounding leaves in the kernel of K would become a displacement, and the choice of K^+
     # would show in its motions
     forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
     strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
-    torn = strained + coarse_space.rigid_motion(_motions(F, face, c, strained, multipliers))
+    torn = strained + coarse_space.rigid_motion(
+        _motions(F, face, c, strained, multipliers, removed)
+    )
     displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
     sticking = F.constraints.friction.within(face.rows)
     jumps = F.jumps(displacement) - c
@@ -121,7 +130,12 @@ def recover_displacement(
 
 
 def _motions(
-    F: DualOperator, face: Projector, c: Vector, strained: Vector, multipliers: Vector
+    F: DualOperator,
+    face: Projector,
+    c: Vector,
+    strained: Vector,
+    multipliers: Vector,
+    removed: Vector | None,
 ) -> Vector:
     """Return alpha for a torn displacement without rigid motions: in each of its three parts."""
     coarse_space = face.coarse_space
@@ -130,6 +144,8 @@ def _motions(
     alpha += face.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
     loose = LooseBodies.on_face(face)
     if loose is not None:
+        if removed is not None:
+            alpha += face.without_free_motions(removed) - removed
         gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
         alpha += _free_motions(face, loose, gap, multipliers)
     return alpha

@@ -25,7 +25,8 @@ class ContactData:
     bound: SlipBound  # the law of friction
     own_bound: SlipBound  # its parts at the contact rows that this rank gave
     radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
-    removed: Vector | float = 0.0  # (m,) B R a of prescribed motions that were taken out of c
+    motion: Vector | None = None  # (coarse,) rigid motions a that were taken out of c
+    removed: Vector | float = 0.0  # (m,) B R a of those of them that supports prescribe
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Rigid motions that supports prescribe: out of c, and back in the displacement."""
+"""Rigid motions that supports and gaps prescribe: out of c, and back in the displacement."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from torn import column, cube
+from torn import column, cube, with_fields
 
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolution, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
 
 pytestmark = pytest.mark.once
@@ -63,3 +63,24 @@ def test_a_motion_of_any_size_changes_nothing_else(method, size):
     for u, moved in zip(here.displacements, there.displacements, strict=True):
         np.testing.assert_allclose(moved, u + np.tile(size * SHIFT, len(u) // 3), atol=accuracy)
     assert there.report.products["total"] <= here.report.products["total"] + 1
+
+
+@pytest.mark.parametrize("gap", [1e-3, -1e-3])
+@pytest.mark.parametrize("stiff", [1.0, 1e10, 4e16])
+@pytest.mark.parametrize("size", [2.0**-60, 1e-30, 1e-130])
+def test_loads_of_any_size_press_in_the_same_way(gap, stiff, size):
+    """A body that falls through a gap onto another one has the forces of one without a gap."""
+
+    def solution(load: float, gap: float) -> TornSolution:
+        system = column(2, load=(0.3 * load, 0.2 * load, -load))
+        lower, *others = system.subdomains
+        parts = [replace(lower, stiffness=stiff * lower.stiffness), *others]
+        system = with_fields(system, "contacts", gap=np.full(system.contacts.size, gap))
+        return TornSolver(replace(system, subdomains=parts)).solve()
+
+    expected, found = solution(1.0, 0.0), solution(size, gap)
+    np.testing.assert_allclose(found.normal_force / size, expected.normal_force, atol=2e-6)
+    assert 0.0 < found.report.certificate.error < 1e-6
+    assert found.report.products["total"] <= expected.report.products["total"] + 1
+    rise = found.displacements[-1].reshape(-1, 3)[:, 2]
+    np.testing.assert_allclose(rise, -gap, rtol=1e-12)
