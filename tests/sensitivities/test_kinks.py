@@ -4,9 +4,11 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import LOADED, pressed_block
+from scenes import CLAMPED, GROUND, LOADED, SLAVE, Scene, at, plane, pressed_block
 
 from dolfinx import fem
+
+from fenics_tfeti import Coulomb, InputError
 
 OPTIONS = {"rtol": 1e-12}
 
@@ -43,3 +45,21 @@ def test_by_default_nodes_that_touch_open():
     scene, problem, top = touching_block("triangle")
     tangent = problem.tangent({top: -1.0}, rtol=1e-12)
     assert not tangent.normal_force(0).any()
+
+
+def test_one_sided_with_sites_that_slip():
+    """A block that slips by Coulomb's law beside one that touches without a force."""
+    boxes = [((x, 0.0), (x + 1.0, 1.0), (2, 2)) for x in (0.0, 2.0)]
+    marks = [(GROUND, at(1, 0.0), 1), (SLAVE, at(1, 0.0), 2)]
+    marks += [(LOADED, at(1, 1.0), 1), (CLAMPED, at(1, 1.0), 2)]
+    scene = Scene.of_boxes(MPI.COMM_SELF, "triangle", boxes, marks)
+    scene.add_obstacle(GROUND, plane(1, 2), friction=Coulomb(0.1))
+    scene.add_obstacle(SLAVE, plane(1, 2))
+    top = fem.Constant(scene.mesh, np.array([1e-3, -1e-3]))
+    scene.fix(CLAMPED)
+    scene.fix(LOADED, value=top)
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    assert not problem.results[0].friction.sticking.any()
+    with pytest.raises(InputError, match="one_sided with sites that slip by Coulomb's law"):
+        problem.tangent({top: (1.0, 0.0)}, one_sided=True)
