@@ -28,6 +28,7 @@ HERE = Path(__file__).parent
 sys.path += [str(HERE), *(str(HERE.parent / folder) for folder in ("tests/support", "meshes"))]
 NAMES = [
     "accuracy",
+    "adjoint",
     "beams",
     "bearing",
     "billion",
