@@ -48,6 +48,14 @@ def test_roller_crown(demo):
     assert demo["found"].nfev < 40
 
 
+def test_hidden_support(demo):
+    """Clearance and stiffness are found to the error of the measurements, by few solves."""
+    assert demo["last"] < 9.0
+    assert demo["clearance"] == pytest.approx(0.7, abs=0.01)
+    assert demo["modulus"] == pytest.approx(1.0, rel=0.01)
+    assert demo["found"].nfev < 30
+
+
 def test_axisymmetric_ball(demo):
     """Radius and largest pressure of the contact area by Hertz's formulas; statics."""
     assert demo["F"] == pytest.approx(demo["force"], rel=1e-9)
