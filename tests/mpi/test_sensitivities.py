@@ -15,10 +15,13 @@ from sensitivity_scenes import (
     of_contact,
     of_function,
     of_mesh,
+    of_motion,
+    of_tie,
+    periodic_block,
     tied_stack,
 )
 
-from fenics_tfeti import Coulomb, RigidBody, Tresca
+from fenics_tfeti import BoltPreload, Coulomb, RigidBody, Tresca
 from fenics_tfeti.fem.displacement import owned_values
 
 COMM = MPI.COMM_WORLD
@@ -69,3 +72,24 @@ def derivatives(scene, kind):
 def test_as_on_one_rank(kind):
     dealt, alone = (derivatives(KINDS[kind](comm=comm), kind) for comm in (COMM, MPI.COMM_SELF))
     assert dealt == pytest.approx(alone, rel=1e-8, abs=1e-9 * np.abs(alone).max())
+
+
+BODY = RigidBody((0.45, -2.0), translation=(1e-3, 2e-3), rotation=1e-3, spring=(0.1, 0.1, 0.0))
+OTHERS = {
+    "force of a bolt": (partial(tied_stack, kind=BoltPreload, upper=5, force=-3e-3), of_tie),
+    "shortening": (partial(tied_stack, kind=BoltPreload, upper=5, shortening=2e-3), of_tie),
+    "periodic pair": (periodic_block, of_tie),
+    "motion": (partial(block_on_roller, Coulomb(0.3), body=BODY), of_motion),
+}
+
+
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize("kind", OTHERS)
+def test_ties_and_bodies_as_on_one_rank(kind):
+    make, parameter = OTHERS[kind]
+    slopes = []
+    for comm in (COMM, MPI.COMM_SELF):
+        scene = make(comm=comm)
+        scene.solve()
+        slopes.append(parameter(scene, 1e-4).slope(scene.adjoint()))
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-8)

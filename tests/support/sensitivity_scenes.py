@@ -381,7 +381,7 @@ def tied_stack(
     return sensitive(scene, scene.contacts, moves_aside=False, clamped=LOADED)
 
 
-def periodic_block() -> Sensitive:
+def periodic_block(comm: MPI.Comm = MPI.COMM_WORLD) -> Sensitive:
     """Return a block pressed onto a roller, of whose sides the middle parts are a periodic pair."""
 
     def middle(side: float) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
@@ -395,7 +395,7 @@ def periodic_block() -> Sensitive:
     ]
     lower = lambda x: np.isclose(x[0], 1.0) & (x[1] < 0.21)  # noqa: E731
     box = (0.0, 0.0), (1.0, 1.0), (5, 5)
-    scene = Scene.of_boxes(MPI.COMM_WORLD, "triangle", [box], [*marks, (SIDE_X, lower)])
+    scene = Scene.of_boxes(comm, "triangle", [box], [*marks, (SIDE_X, lower)])
     scene.cell_tags = None
     scene.add_obstacle(GROUND, Sphere([0.45, -2.0], 2.0), name="joint")
     sides = {"slave": SLAVE, "master": MASTER, "translation": (1.0, 0.0)}
