@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 from sensitivity_scenes import block_on_roller, blocks, mesh_direction, tied_stack
 
-from fenics_tfeti import Coulomb, InputError, Nearest, Tresca
+from fenics_tfeti import BoltPreload, Coulomb, InputError, Nearest, Tresca
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.sensitivity import row_supports
 
@@ -15,6 +15,7 @@ KINDS = {
     "tied": tied_stack,
     "obstacle": partial(block_on_roller, Tresca(1.5e-3)),
     "degree 2": partial(blocks, "quadrilateral", 2, 3, degree=2),
+    "bolt": partial(tied_stack, kind=BoltPreload, upper=5, axis=(0.0, 1.0), force=-3e-3),
     "axisymmetric": partial(blocks, n=4, m=5, is_axisymmetric=True),
     "3D obstacle": partial(block_on_roller, Coulomb(0.3), "hexahedron"),
 }
