@@ -56,6 +56,15 @@ def test_hidden_support(demo):
     assert demo["found"].nfev < 30
 
 
+@pytest.mark.once
+def test_punch_shape(demo):
+    """The peak at the punch's edge vanishes, found with few solves."""
+    assert demo["peak"][0] > 2.0
+    assert demo["peak"][1] < 1.1
+    assert demo["last"] < 0.02 * demo["first"]
+    assert demo["found"].nfev < 40
+
+
 def test_axisymmetric_ball(demo):
     """Radius and largest pressure of the contact area by Hertz's formulas; statics."""
     assert demo["F"] == pytest.approx(demo["force"], rel=1e-9)
