@@ -258,8 +258,9 @@ class NewtonIteration:
         comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
             return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
-        corrected = Correction(Change.of(solution), 0, 0, 0.0)
-        if any_rank(comm, face.held):
+        corrected = without = Correction(Change.of(solution), 0, 0, 0.0)
+        # forces of ties and bolts turn with them, too
+        if any_rank(comm, [face.held.any() or face.rows.tied.size > 0]):
             hessian = ContactHessian(
                 load_step,
                 state.displacement,
@@ -270,13 +271,13 @@ class NewtonIteration:
             )
             negligible = 0.1 * options.newton_rtol * state.equilibrium.force
             rtol = max(min(_LOOSEST, _FORCING * state.equilibrium.residual), _TIGHTEST)
-            try:
-                corrected = hessian.corrected(corrected.change, (force, beyond), rtol, negligible)
-            except (InputError, NotConverged):
-                # rows cannot be evaluated near the state
-                return None
-            if corrected.left > _FAILED:
-                return None
+            # rows may have no values near the state
+            with suppress(InputError, NotConverged):
+                corrected = hessian.corrected(without.change, (force, beyond), rtol, negligible)
+            if corrected is without or corrected.left > _FAILED:
+                if not is_last:
+                    return None
+                corrected = without
         free = describe_free_motions(system, solution.active, solution.sticking)
         report = replace(solution.report, free_motions=free)
         self.solution = replace(solution, report=report)
