@@ -28,7 +28,7 @@ def unlike(comm: MPI.Intracomm) -> Scene:
     [
         unlike,
         lambda comm: CASES["roller"](comm, 8, 2, "quadrilateral"),
-        lambda comm: CASES["slider"](comm, 6),
+        lambda comm: CASES["slider"](comm, 8),
         lambda comm: beams(comm, 4, 1, "tetrahedron"),
     ],
     ids=["beams", "roller", "slider", "beams in 3D"],
