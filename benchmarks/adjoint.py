@@ -50,8 +50,8 @@ def run(problems=tuple(PROBLEMS), rtol=(1e-6,)):
                 "rtol": tolerance,
                 "solve": problem.report.products["total"],
                 "linear": state.products,
-                "adjoint": adjoint.products,
-                "adjoint / linear": adjoint.products / state.products,
+                "adjoint": adjoint.linear_solves.products,
+                "adjoint / linear": adjoint.linear_solves.products / state.products,
                 "seconds of solve": of_solve,
                 "seconds of adjoint": of_adjoint,
             }

@@ -101,7 +101,7 @@ def J_and_gradient(s):
     area = problem.results["strip"].area
     adjoint = problem.adjoint(normal_forces={"strip": misfit / (area * mean)})
     products["solves"] += problem.report.products["total"]
-    products["adjoints"] += adjoint.products
+    products["adjoints"] += adjoint.linear_solves.products
     shares = np.array([np.interp(x, places, e) for e in np.eye(places.size)])
     J = comm.allreduce(0.5 * misfit @ misfit)
     return J, unit * comm.allreduce(shares @ adjoint.by_gap("strip"))

@@ -39,7 +39,9 @@ _LAZY = {
         "fem.mesh_error.estimate": "BodyMeshError ContactMeshError MeshError MeshErrorEntry",
         "nonlinear": "NonlinearContactProblem",
         "problem": "ContactProblem",
-        "sensitivities": "Adjoint Tangent",
+        "sensitivities.adjoint": "Adjoint",
+        "sensitivities.linear_solves": "LinearSolves",
+        "sensitivities.tangent": "Tangent",
     }.items()
     for name in names.split()
 }

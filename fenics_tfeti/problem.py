@@ -33,7 +33,9 @@ from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.sensitivities import Adjoint, Change, Functional, SolvedState, Tangent
+from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional
+from fenics_tfeti.sensitivities.state import SolvedState
+from fenics_tfeti.sensitivities.tangent import Change, Tangent
 
 
 class ContactProblem(SteppedProblem[ContactReport]):

@@ -1,0 +1,312 @@
+"""A solved problem as its derivatives see it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from dolfinx.fem import Constant, Function
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.conditions.pairing import row_values
+from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
+from fenics_tfeti.fem.contact.contact_set import (
+    ContactSet,
+    FoundContact,
+    FoundTie,
+    consecutive,
+)
+from fenics_tfeti.fem.contact.descriptions.contacts import (
+    Contact,
+    ContactPair,
+)
+from fenics_tfeti.fem.contact.descriptions.partners import Nearest
+from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, PeriodicPair, Tie
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
+from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
+from fenics_tfeti.fem.displacement import fill_displacement
+from fenics_tfeti.fem.sensitivity.forms import (
+    FormsAtSolution,
+    check_dependence,
+)
+from fenics_tfeti.fem.sensitivity.supports import prescribed_entries
+from fenics_tfeti.fem.torn_problem import TornProblem
+from fenics_tfeti.feti.solution.linear import LinearProblem, LinearSolution
+from fenics_tfeti.feti.solver import TornSolution
+from fenics_tfeti.feti.system import RowValues, TornSystem
+from fenics_tfeti.parallel import (
+    any_rank,
+    largest_of_ranks,
+)
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class SolvedState:
+    """A solved problem as its derivatives see it."""
+
+    torn: TornProblem
+    forms: FormsAtSolution
+    solved: SolvedContacts
+    solution: TornSolution
+    linear: LinearProblem
+    origin: SlipOrigin
+    is_current: Callable[[], bool]  # whether the problem is as it was solved, on all ranks
+
+    @property
+    def conditions(self) -> ContactSet:
+        """The conditions of contacts and ties."""
+        return self.solved.conditions
+
+    @property
+    def rows(self) -> Numbers:
+        """The contact row of each site of friction."""
+        return self.linear.system.friction.row
+
+    @property
+    def coefficient(self) -> Vector:
+        """Coulomb's coefficient at sites that slip, (sites,); 0 elsewhere."""
+        return np.where(self.slipping, np.asarray(self.linear.system.friction.coefficient), 0.0)
+
+    def has_coulomb(self) -> bool:
+        """Tell whether any rank has a site that slips with Coulomb's law. Collective."""
+        return any_rank(self.torn.nodes.comm, self.coefficient > 0.0)
+
+    @property
+    def slipping(self) -> Mask:
+        """Which sites slip."""
+        return ~self.linear.sticking & (self.solution.slip_bound > 0.0)
+
+    @property
+    def direction(self) -> Vector:
+        """Unit vectors along the friction forces of sites that slip, (sites, gdim - 1)."""
+        force = self.solution.tangential_force
+        size = np.linalg.norm(force, axis=1, keepdims=True)
+        along = np.divide(force, size, out=np.zeros_like(force), where=size > 0.0)
+        return np.where(self.slipping[:, None], along, 0.0)
+
+    def check_current(self) -> None:
+        """Check that the problem is as it was solved. Collective."""
+        if not self.is_current():
+            raise InputError(
+                "the problem was solved again, or its data have changed, since these derivatives "
+                "were made: take them anew after solve()"
+            )
+
+    def size_of_mesh(self) -> float:
+        """Return the longest edge of the box around the mesh [m]. Collective."""
+        x, comm = self.torn.nodes.coordinates, self.torn.nodes.comm
+        return max(
+            largest_of_ranks(comm, column) + largest_of_ranks(comm, -column) for column in x.T
+        )
+
+    def used(self, contact: Contact | Tie, keep_pairs: bool = False) -> Contact | Tie:
+        """Return a contact in the roles in which it is used, which stay; maybe with its partners.
+
+        Pairs of nodes become mortar conditions where nodes of one side alone move, by default.
+        """
+        for found in self.conditions.contacts:
+            if found.roles.given is contact and isinstance(found.contact, ContactPair):
+                partners = found.contact.partners
+                if keep_pairs and partners is None and not found.pairing.is_mortar:
+                    partners = Nearest()
+                return replace(found.contact, roles="given", partners=partners)
+        return contact
+
+    @property
+    def matched_ties(self) -> dict[int, TiedPairing]:
+        """The ties, by number, of nodes that match: one alone cannot move."""
+        return {
+            found.number: found.pairing
+            for found in self.conditions.ties
+            if isinstance(found.tie, PeriodicPair | BoltPreload)
+        }
+
+    def prescribed_changes(
+        self, data: Mapping[Any, Any]
+    ) -> tuple[Vector, list[tuple[Function | Constant, Any]]]:
+        """Return changes (n,) of prescribed displacements, and the data that stand in forms."""
+        space = self.forms.u.function_space
+        size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+        prescribed, in_forms = np.zeros(size), []
+        for m, dm in data.items():
+            at, entries = prescribed_entries(
+                space, self.torn.data.bcs, self.conditions.prescribed, m
+            )
+            values = np.ravel(dm.x.array if isinstance(dm, Function) else dm)
+            values = np.broadcast_to(
+                values, np.size(m.value if isinstance(m, Constant) else m.x.array)
+            )
+            own = at < size
+            prescribed[at[own]] = values[entries[own]]
+            stands = self.forms.depend_on(m)
+            check_dependence(m, any_rank(space.mesh.comm, [at.size > 0]) or stands)
+            if stands:
+                in_forms.append((m, dm))
+        return prescribed, in_forms
+
+    def parts_of(self, name: str | int) -> list[tuple[FoundContact, Numbers]]:
+        """Return the parts of a contact, by name or number, in order, with their rows."""
+        found = self.conditions.contacts
+        parts = [
+            (contact, own)
+            for contact, own in zip(found, self.conditions.positions, strict=True)
+            if name in (contact.number, contact.pairing.name)
+        ]
+        if not parts:
+            names = sorted({contact.pairing.name for contact in found})
+            raise InputError(f"there is no contact {name!r}; there are {names}")
+        return parts
+
+    def rows_of(self, name: str | int) -> Numbers:
+        """Return the rows of a contact."""
+        return np.concatenate([own for _, own in self.parts_of(name)])
+
+    def tie_of(self, name: str | int) -> tuple[FoundTie, Numbers] | None:
+        """Return a tie, by name or number, with its rows among those of all ties; None for none."""
+        sizes = [found.pairing.rows.size for found in self.conditions.ties]
+        for found, own in zip(self.conditions.ties, consecutive(sizes), strict=True):
+            if name in (found.number, found.pairing.name):
+                return found, own
+        return None
+
+    def sides(self, name: str | int) -> Vector:
+        """Return 1 for each row of a contact; -1 where slave and master were exchanged."""
+        return np.concatenate(
+            [
+                np.full(own.size, 1.0 if contact.roles.used is contact.roles.given else -1.0)
+                for contact, own in self.parts_of(name)
+            ]
+        )
+
+    def sites_of(self, name: str | int) -> Numbers:
+        """Return the sites of friction of a contact's rows."""
+        if any(contact.friction is None for contact, _ in self.parts_of(name)):
+            raise InputError(f"contact {name!r} has no friction")
+        site = np.full(self.zeros().normal.size, -1)
+        site[self.rows] = np.arange(self.rows.size)
+        return site[self.rows_of(name)]
+
+    def weights(
+        self, name: str | int, given: Any, shape: tuple[int, ...], label: str
+    ) -> tuple[Numbers, Vector]:
+        """Return the rows of a contact, and values (k, ...) given for them or one for all."""
+        own = self.rows_of(name)
+        weights, whole = np.asarray(given, dtype=float), (own.size, *shape)
+        if weights.shape not in (whole, shape):
+            raise InputError(f"{label} has the shape {weights.shape}; {whole} or {shape} expected")
+        return own, np.broadcast_to(weights, whole)
+
+    def has_kinds_of(self, found: ContactSet) -> bool:
+        """Tell whether this rank's conditions are of the kinds and numbers of others."""
+
+        def kinds(conditions: ContactSet) -> list[tuple[bool, int]]:
+            contacts = [(p.is_mortar, p.gap.size) for p in conditions.pairings]
+            return contacts + [(t.pairing.is_mortar, t.pairing.rows.size) for t in conditions.ties]
+
+        return kinds(found) == kinds(self.conditions)
+
+    def zeros(self) -> RowValues:
+        """Return zeros at all conditions."""
+        return RowValues.zeros(self.linear.system)
+
+    def kinks(self) -> dict[str, tuple[int, int]]:
+        """Return numbers of nodes that touch without a force, and of sites at the edge of slip.
+
+        By contact, without those that have none. Collective.
+        """
+        touching, at_edge = self.linear.kinks()
+        at_row = np.zeros(touching.size, dtype=bool)
+        at_row[self.rows] = at_edge
+        found, names = self.conditions, self.conditions.names
+        counts = np.zeros((len(names), 2), dtype=np.int64)
+        for contact, own in zip(found.contacts, found.positions, strict=True):
+            counts[contact.number] += [np.count_nonzero(x[own]) for x in (touching, at_row)]
+        counts = self.torn.nodes.comm.allreduce(counts)
+        return {
+            name: (int(nodes), int(sites))
+            for name, (nodes, sites) in zip(names, counts, strict=True)
+            if nodes or sites
+        }
+
+    def torn_loads(self, values: Vector) -> list[Vector]:
+        """Return nodal forces (n,) at one copy of each node, and on rigid bodies. Collective."""
+        nodes, bodies = self.torn.nodes, self.conditions.bodies
+        forces, loads = values.reshape(-1, nodes.components), []
+        given = np.zeros(nodes.size, dtype=bool)
+        given[nodes.owned :] = True
+        for subdomain in self.torn.torn.subdomains:
+            local = nodes.to_local(subdomain.nodes)
+            load = np.zeros((local.size, nodes.components))
+            new = ~given[local]
+            load[new] = forces[local[new]]
+            given[local] = True
+            loads.append(load.ravel())
+        of_bodies = self.torn.resultants(values, bodies)
+        loaded, unloaded = (
+            bodies.loaded(x).subdomains() for x in (of_bodies, np.zeros_like(of_bodies))
+        )
+        loads += [s.load - t.load for s, t in zip(loaded, unloaded, strict=True)]
+        return loads + [np.zeros_like(s.load) for s in self.linear.system.subdomains[len(loads) :]]
+
+    def jumps(self, values: Vector, bodies: RigidBodies | None = None) -> RowValues:
+        """Return N u, T u and tied sums of nodal values (n,). Collective.
+
+        Rigid bodies are where they are, by default at rest.
+        """
+        system, nodes = self.linear.system, self.torn.nodes
+        moved = None if bodies is None else bodies.free_displacements(nodes.total)
+        normal, tied = (
+            row_values(nodes, rows, values, moved) / rows.length
+            for rows in (system.contacts, system.tied)
+        )
+        tangential = np.zeros((self.rows.size, system.gdim - 1))
+        if any_rank(nodes.comm, [self.rows.size > 0]):
+            rows = system.friction.tangential_rows(system.contacts)
+            tangential = (row_values(nodes, rows, values, moved) / rows.length).reshape(
+                tangential.shape
+            )
+        return RowValues(normal, tangential, tied)
+
+    def nodal_forces(self, system: TornSystem, forces: RowValues) -> Vector:
+        """Return N'a + T'b and those of ties (n,) at nodes that this rank owns. Collective."""
+        nodes = self.torn.nodes
+        total = np.zeros((nodes.owned, nodes.components))
+        for numbers, terms in self._terms(system, forces):
+            in_mesh = numbers < nodes.total
+            total += nodes.sum_at_owners(numbers[in_mesh], terms[in_mesh])
+        return total.ravel()
+
+    def body_forces(self, system: TornSystem, forces: RowValues) -> Vector:
+        """Return N'a + T'b (b, gdim) at the nodes beyond those of the mesh. Collective."""
+        nodes, bodies = self.torn.nodes, self.conditions.bodies
+        total = np.zeros_like(bodies.free_displacements(nodes.total))
+        for numbers, terms in self._terms(system, forces):
+            beyond = (numbers >= nodes.total) & (numbers < nodes.total + len(total))
+            np.add.at(total, numbers[beyond] - nodes.total, terms[beyond])
+        return np.asarray(nodes.comm.allreduce(total))
+
+    def _terms(self, system: TornSystem, forces: RowValues) -> list[tuple[Numbers, Vector]]:
+        """Return nodes (t,) and their forces (t, gdim) by contact, tied and friction rows."""
+        parts = [(system.contacts, forces.normal), (system.tied, forces.tied)]
+        # sums of them are collective, also for ranks without sites
+        if any_rank(self.torn.nodes.comm, [system.friction.size > 0]):
+            tangential = system.friction.tangential_rows(system.contacts)
+            parts.append((tangential, forces.tangential.ravel()))
+        return [
+            (rows.nodes, (values / rows.length)[rows.row][:, None] * rows.coefficients)
+            for rows, values in parts
+        ]
+
+    def displacement(self, solution: LinearSolution, name: str) -> tuple[Function, list[Vector]]:
+        """Return the displacement of a linear solution, and the motions of rigid bodies."""
+        u = Function(self.forms.u.function_space, name=name)
+        fill_displacement(u, self.torn.torn.subdomains, solution.displacements)
+        bodies, none = self.conditions.bodies, [np.zeros_like(x) for x in solution.displacements]
+        after, before = (self.conditions.motions_after(x) for x in (solution.displacements, none))
+        motions = [x - y for x, y in zip(after, before, strict=True)]
+        return self.torn.fill(u, bodies.moved(motions), is_small=True), motions
