@@ -14,20 +14,18 @@ from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
-from fenics_tfeti.fem.contact.mortar.facets import cross
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
+from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.topology import batches, cell_type, cells_of_facets
+from fenics_tfeti.fem.topology import cells_of_facets
 from fenics_tfeti.parallel import any_rank, concatenate_ranks
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Vector
 
-# nodes of a surface that are looked at, and how deep inside they are, relative to facets
-_POINTS, _DEPTH = 200, 1e-3
-# numbers in the arrays that are computed with at once
-_ENTRIES = 2**20
+# depth of nodes inside another body, relative to facets, that is more than rounding
+_DEPTH = 1e-3
 # cosine of the angle from which on surfaces look the same way; those with less of one, as the side
 # of a block below a die, may turn until they meet
 _SAME_WAY = 0.1
@@ -89,12 +87,10 @@ def _place_inside(found: FoundContact, conditions: ContactSet, uh: Function, bod
         return ""
     surfaces = [surface.on(boundary) for surface in found.pairing.surfaces]
     for surface, other in zip(surfaces, sides[::-1], strict=True):
-        corners = _boundary_of(boundary, bodies, other)
         x, size = (concatenate_ranks(surface.comm, each) for each in (surface.points, surface.size))
-        some = np.unique(np.linspace(0, len(x) - 1, min(len(x), _POINTS)).astype(int))
-        inside = _is_inside(x[some], _DEPTH * size[some], corners)
-        if inside.any():
-            return format_point(x[some][inside.argmax()])
+        distance = _boundary_of(boundary, bodies, other).distance(x).signed
+        if (distance < -_DEPTH * size).any():
+            return format_point(x[distance.argmin()])
     return ""
 
 
@@ -148,44 +144,16 @@ def _bodies_of(
     return sides[0], sides[1]
 
 
-def _boundary_of(boundary: MeshBoundary, bodies: Bodies, chosen: set[int]) -> Vector:
-    """Return the corners (f, v, gdim) of all facets around some bodies. Collective."""
-    domain = boundary.space.mesh
+def _boundary_of(boundary: MeshBoundary, bodies: Bodies, chosen: set[int]) -> FacetedSurface:
+    """Return all facets around some bodies. Collective."""
+    domain, nodes = boundary.space.mesh, boundary.nodes
     facets = np.flatnonzero(boundary.exterior).astype(np.int32)
     cells = cells_of_facets(domain, facets)[0]
     is_own = cells < bodies.of_cell.size
     facets, cells = facets[is_own], cells[is_own]
     facets = facets[np.isin(bodies.of_cell[cells], list(chosen))]
-    vertices = oriented_facets(boundary.space, facets)[:, : cell_type(domain).facet.vertices]
-    return concatenate_ranks(domain.comm, boundary.coordinates[vertices, : domain.geometry.dim])
-
-
-def _is_inside(x: Vector, depth: Vector, corners: Vector) -> Mask:
-    """Tell which points (k, d), and all around them within a depth (k,), are inside a surface."""
-    inside = np.ones(len(x), dtype=bool)
-    for shift in (*np.eye(x.shape[1]), *-np.eye(x.shape[1])):
-        inside &= winding_number(x + depth[:, None] * shift, corners) > 0.5
-    return inside
-
-
-def winding_number(x: Vector, corners: Vector) -> Vector:
-    """Return how often a closed surface of facets (f, v, d) winds around points (k, d).
-
-    It is 1 inside and 0 outside: the sum of the angles, or solid angles (van Oosterom and Strackee,
-    1983), under which the facets are seen.
-    """
-    total = np.zeros(len(x))
-    for batch in batches(len(x), max(1, _ENTRIES // max(1, corners.size))):
-        a = corners - x[batch, None, None]
-        if x.shape[1] == 2:
-            (p, q), (r, s) = np.moveaxis(a, (2, 3), (0, 1))
-            total[batch] = np.arctan2(p * s - q * r, p * r + q * s).sum(axis=1) / (2.0 * np.pi)
-            continue
-        for k in range(1, a.shape[2] - 1):
-            i, j, l = a[:, :, 0], a[:, :, k], a[:, :, k + 1]
-            m, n, o = (np.linalg.norm(side, axis=2) for side in (i, j, l))
-            volume = np.sum(i * cross(j, l), axis=2)
-            ij, jl, il = (np.sum(e * f, axis=2) for e, f in ((i, j), (j, l), (i, l)))
-            angle = np.arctan2(volume, m * n * o + ij * o + jl * m + il * n)
-            total[batch] += angle.sum(axis=1) / (2.0 * np.pi)
-    return total
+    rows = oriented_facets(boundary.space, facets)
+    x = boundary.coordinates[rows.ravel(), : domain.geometry.dim]
+    numbers, points = (concatenate_ranks(domain.comm, part) for part in (nodes.to_global(rows), x))
+    _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
+    return FacetedSurface.of(Facets(points[first], inverse.reshape(numbers.shape)))
