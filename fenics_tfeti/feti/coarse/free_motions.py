@@ -56,7 +56,7 @@ def describe_free_motions(system: TornSystem, active: Mask, sticking: Mask) -> l
         friction.tangential_rows(contacts).chosen(np.flatnonzero(holding)),
     ]
     rows = rows_on_bodies(system, parts, *centres_and_sizes(system)[:2])
-    rows = (rows @ sp.block_diag(units)).tocsr()
+    rows = (rows @ sp.block_diag([sp.csr_matrix(unit) for unit in units])).tocsr()
     _, free = weak_motions(system.comm, rows, supports, FACETED, FACETED)
     own = sum(R.shape[1] for R in kernels)
     first, _ = first_of_rank(system.comm, own)
