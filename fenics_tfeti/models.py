@@ -1,4 +1,4 @@
-"""Material laws, densities and supports that many problems have, for forms and conditions."""
+"""Material laws, pressures, densities and supports that many problems have."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_contacts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
@@ -166,6 +166,71 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
         return (mu * (left - identity) + lmbda * ufl.ln(J) * identity) / J
 
     return stress
+
+
+def follower_pressure(
+    p: Any, u: fem.Function, measure: ufl.Measure, measure_weight: Any = 1.0
+) -> ufl.Form:
+    """Return the residual of a pressure that follows the deformed surface.
+
+    It acts against the outward normal, over the present area: p J G^-T N . v ds with Nanson's
+    formula, G = I + grad u, J = det G and the undeformed normal N. Its derivative is in general not
+    symmetric.
+
+    Parameters
+    ----------
+    p : float or UFL expression
+        The pressure [Pa], in terms of undeformed places.
+    u : Function
+        The displacement of `NonlinearContactProblem`.
+    measure : ufl.Measure
+        The undeformed surface: ``ds`` with a tag.
+    measure_weight : float or UFL expression
+        Factor of ``dx`` in the forms, such as ``2 * pi * r`` in axisymmetric ones; here, x in it is
+        the deformed place.
+
+    Returns
+    -------
+    ufl.Form
+        The term to be added to `F`.
+
+    Raises
+    ------
+    InputError
+        If an argument is of another kind.
+
+    Examples
+    --------
+    >>> F = ufl.derivative(energy(u) * ufl.dx, u, v)  # doctest: +SKIP
+    >>> F += follower_pressure(2e5, u, ds(TOP))  # doctest: +SKIP
+    """
+    if not isinstance(u, fem.Function):
+        raise wrong_type("follower_pressure: u", u, "the displacement, a dolfinx.fem.Function,")
+    expected = "one of facets on the boundary, such as ufl.Measure('ds', subdomain_data=tags)(tag),"
+    if not isinstance(measure, ufl.Measure):
+        raise wrong_type("follower_pressure: the measure", measure, expected)
+    if (kind := measure.integral_type()) != "exterior_facet":
+        raise InputError(
+            f"follower_pressure: the measure is one of kind {kind!r}; {expected} is expected"
+        )
+    if shape := p.ufl_shape if hasattr(p, "ufl_shape") else np.shape(p):
+        raise InputError(
+            f"follower_pressure: p has shape {shape}; a scalar is expected, positive where it "
+            "presses on the body"
+        )
+    space = u.function_space
+    x, N = ufl.SpatialCoordinate(space.mesh), ufl.FacetNormal(space.mesh)
+    weight = ufl.replace(as_ufl_weight(space.mesh, measure_weight), {x: x + u})
+    area = _cofactors(ufl.Identity(u.ufl_shape[0]) + ufl.grad(u)) * N
+    return p * weight * ufl.inner(area, ufl.TestFunction(space)) * measure
+
+
+def _cofactors(G: Any) -> Any:
+    """Return J G^-T as a polynomial in G, which rules of quadrature integrate exactly."""
+    trace, identity = ufl.tr(G), ufl.Identity(G.ufl_shape[0])
+    if G.ufl_shape[0] == 2:
+        return trace * identity - G.T
+    return (G * G).T - trace * G.T + (trace**2 - ufl.tr(G * G)) / 2 * identity
 
 
 def symmetry_plane(V: Any, facet_tags: Any, tag: int, axis: int) -> Any:

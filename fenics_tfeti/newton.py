@@ -26,7 +26,7 @@ from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.feti import TangentKind, Timer, TornSolution, TornSolver, prepare_tangents
 from fenics_tfeti.feti.coarse.free_motions import describe_free_motions
-from fenics_tfeti.feti.tangents import has_small_strains
+from fenics_tfeti.feti.tangents import has_small_strains, have_symmetric_tangents
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -259,8 +259,10 @@ class NewtonIteration:
         if any_rank(comm, pulling):
             return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
         corrected = without = Correction(Change.of(solution), 0, 0, 0.0)
-        # forces of ties and bolts turn with them, too
-        if any_rank(comm, [face.held.any() or face.rows.tied.size > 0]):
+        # forces of ties and bolts turn with them, too, and pressures follow the surface
+        lacks = face.held.any() or face.rows.tied.size > 0
+        lacks = lacks or not have_symmetric_tangents(system.subdomains)
+        if any_rank(comm, [lacks]):
             hessian = ContactHessian(
                 load_step,
                 state.displacement,

@@ -70,7 +70,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     contacts : sequence of contacts and ties, one of them, "auto" or None
         What may touch, and what stays together, as for `ContactProblem`.
     J : ufl.Form, optional
-        Symmetric tangent, by default the derivative of `F` with respect to `u`.
+        Tangent, by default the derivative of `F` with respect to `u`. It need not be symmetric, as
+        with `fenics_tfeti.models.follower_pressure`.
     cell_tags, subdomains, measure_weight, rigid, form_compiler_options, jit_options
         As for `ContactProblem`.
     options : mapping, optional

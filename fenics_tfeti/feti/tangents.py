@@ -24,6 +24,7 @@ rotations. In equilibrium they vanish, and it changes nothing.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -31,6 +32,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import FactorizationError, InputError, format_point
+from fenics_tfeti.feti.checks.system import skewness
 from fenics_tfeti.feti.coarse.body_motions import centres_and_sizes
 from fenics_tfeti.feti.coarse.free_motions import rows_on_bodies
 from fenics_tfeti.feti.coarse.resistance import weak_motions
@@ -72,7 +74,8 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
     Parameters
     ----------
     system : TornSystem
-        With the exact tangents as stiffness matrices, and the deformed coordinates.
+        With the exact tangents as stiffness matrices, and the deformed coordinates. They need not
+        be symmetric, as with pressures that follow the surface: their symmetric part is taken.
     kind : {"auto", "exact", "projected"}
         Where exact tangents are taken: in bodies that prescribed displacements and tied rows hold
         against all rotations, in all bodies, or in none. With "auto" subdomains with elastic
@@ -100,15 +103,27 @@ def prepare_tangents(system: TornSystem, kind: TangentKind = "auto") -> TornSyst
             is_held = held[body[members]]
             for some in (members[is_held], members[~is_held]):
                 if some.size:
-                    first = subdomains[some[0]]
+                    given = subdomains[some[0]]
+                    first = replace(given, stiffness=_symmetric_part(given.stiffness))
                     chosen = _tangent(first, bool(exact[first.body]), kind)
                     if not (held[first.body] or kind == "exact"):
                         chosen = _damped(chosen, first.stiffness, sizes[first.body])
-                    unchanged = chosen.stiffness is first.stiffness
+                    unchanged = chosen.stiffness is given.stiffness
                     for i in some:
                         K = subdomains[i].stiffness if unchanged else chosen.stiffness
                         subdomains[i] = replace(subdomains[i], stiffness=K, kernel=chosen.kernel)
     return replace(system, subdomains=subdomains)
+
+
+def have_symmetric_tangents(subdomains: Sequence[Subdomain]) -> bool:
+    """Tell whether all stiffness matrices are symmetric."""
+    matrices = {id(s.stiffness): s.stiffness for s in subdomains}
+    return not any(skewness(K) for K in matrices.values())
+
+
+def _symmetric_part(K: sp.csr_matrix) -> sp.csr_matrix:
+    """Return (K + K') / 2; K itself where it is symmetric."""
+    return 0.5 * (K + K.T).tocsr() if skewness(K) else K
 
 
 def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:

@@ -188,6 +188,17 @@ def test_body_is_held_by_what_it_is_tied_to(tied, kernel):
     assert {s.kernel for s in prepared.subdomains if s.body == 0} == {"translations"}
 
 
+def test_symmetric_part_of_a_tangent_is_taken():
+    system = pressed_block(2, pressure=0.1)
+    upper = [sp.triu(s.stiffness, 1) for s in system.subdomains]
+    parts = zip(system.subdomains, upper, strict=True)
+    skewed = [replace(s, stiffness=(s.stiffness + (part - part.T)).tocsr()) for s, part in parts]
+    prepared = prepare_tangents(replace(system, subdomains=skewed))
+    for new, old in zip(prepared.subdomains, prepare_tangents(system).subdomains, strict=True):
+        size = np.abs(old.stiffness.data).max()
+        assert abs(new.stiffness - old.stiffness).max() <= 1e-13 * size
+
+
 @pytest.mark.parametrize(("pressure", "kinds", "kernel"), [
     (0.05, ["auto"], "translations"),
     (0.0, ["auto", "exact", "projected"], "rigid"),

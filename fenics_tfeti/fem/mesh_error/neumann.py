@@ -102,6 +102,9 @@ class NeumannProblems:
             fine = self._interpolated(total[batch])
             solution[batch] = np.sum(fine * (A @ fine), axis=(1, 2))
             load = self._external(chosen, moments[batch]) - internal
+            if self._is_tangent:
+                # pressures that follow the surface have tangents that are not symmetric
+                A = 0.5 * (A + A.transpose(0, 2, 1))
             self._hold_motions(A, chosen)
             if self._is_tangent:
                 A = _magnitudes(A)

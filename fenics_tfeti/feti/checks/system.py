@@ -327,14 +327,13 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
         )
     hint = "Check the material: lambda is infinite at a Poisson's ratio of 0.5, for example"
     _check_finite(what, K.data, hint)
-    largest = float(np.abs(K.data).max(initial=0.0))
-    skew = _skewness(K, largest)
-    if skew > ZERO * largest:
+    if skew := skewness(K):
+        largest = np.abs(K.data).max()
         raise InputError(
             f"the bilinear form is not symmetric: {what} has |K - K'| = {skew:.3e} where |K| = "
             f"{largest:.3e}. Contact by minimisation needs a symmetric form a(u, v) = a(v, u). "
-            "Take the symmetric part of a tangent with pressures that follow the surface: "
-            "J = 0.5 * (dF + ufl.adjoint(dF)) with dF = ufl.derivative(F, u, du)"
+            "Pressures that follow the surface, whose tangent is not symmetric, are for "
+            "NonlinearContactProblem"
         )
     bad = np.flatnonzero(~(K.diagonal() > 0.0))
     if bad.size:
@@ -347,12 +346,15 @@ def _check_matrix(what: str, subdomain: Subdomain, gdim: int) -> None:
     _check_connected(what, subdomain, gdim)
 
 
-def _skewness(K: sp.csr_matrix, largest: float) -> float:
-    """Return |K - K'|, or 0 where the products of K and K' with a vector are equal."""
+def skewness(K: sp.csr_matrix) -> float:
+    """Return |K - K'| where that is more than rounding, 0 where K is symmetric."""
     y = 1.0 + np.random.default_rng(0).random(K.shape[0])
+    largest = float(np.abs(K.data).max(initial=0.0))
+    # most matrices are symmetric, which products tell
     if np.abs(K @ y - K.T @ y).max(initial=0.0) <= rounding(largest, GIVEN):
         return 0.0
-    return float(np.abs((K - K.T).data).max(initial=0.0))
+    skew = float(np.abs((K - K.T).data).max(initial=0.0))
+    return skew if skew > ZERO * largest else 0.0
 
 
 def _check_connected(what: str, subdomain: Subdomain, gdim: int) -> None:

@@ -2,12 +2,13 @@
 
 import numpy as np
 import scenes
+from scenes import LOADED
 
-from dolfinx import mesh
+from dolfinx import fem, mesh
 
 from fenics_tfeti import Exact
 from fenics_tfeti.io import Box, boxes
-from fenics_tfeti.models import isotropic
+from fenics_tfeti.models import follower_pressure, isotropic
 from mistakes.catalogue import beams, posed, solved, table
 
 
@@ -20,6 +21,11 @@ def some_cells(scene):
     """Return tags of the cells of one body."""
     some = scene.cell_tags.find(1).astype(np.int32)
     return mesh.meshtags(scene.mesh, 2, some, np.ones(some.size, dtype=np.int32))
+
+
+def follower(arguments):
+    """Return what makes a pressure from arguments, a function of the scene."""
+    return lambda comm: follower_pressure(*arguments(beams(comm)))
 
 
 def another_name(comm):
@@ -57,5 +63,11 @@ MISTAKES = table(
     ("results of a problem that is not solved", lambda comm: beams(comm).problem().results[0]),
     ("report of a problem that is not solved", lambda comm: str(beams(comm).problem().report)),
     ("name that is not in the mesh", another_name),
+    ("follower pressure on a trial function", follower(lambda s: (1.0, s.u, s.ds(LOADED)))),
+    ("follower pressure over cells", follower(lambda s: (1.0, fem.Function(s.V), s.dx))),
+    (
+        "follower pressure that is a vector",
+        follower(lambda s: ((0.0, 1.0), fem.Function(s.V), s.ds(LOADED))),
+    ),
     ("poisson ratio of one half", lambda comm: isotropic(1e6, 0.5)),
 )
