@@ -5,9 +5,9 @@ On the face of a step the derivative of equilibrium and of the gaps is
     K d + B'dP + E d = -r,    B d + E_g d = gap,    E d = d(B'P)/du d,
 
 where E has the forces that turn with the surfaces and move along them, and friction that follows
-its normal force. It couples the bodies, so no subdomain can have it. E also has what the tangents
-of the subdomains lack: the skew part of those with pressures that follow the surface. Total FETI without it is the
-preconditioner M of flexible GMRES; vectors are forces at the surfaces, and gaps. E d is a
+its normal force. It couples the bodies, so no subdomain can have it. What the subdomains' tangents
+lack is in E, too: the skew part of those with pressures that follow the surface. Total FETI without
+E is the preconditioner M of flexible GMRES; vectors are forces at the surfaces, and gaps. E d is a
 difference of rows at u + eps d, of any kind of contact.
 """
 
