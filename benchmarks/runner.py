@@ -36,6 +36,7 @@ NAMES = [
     "coarse",
     "communication",
     "deflation",
+    "finite_strain_suite",
     "friction",
     "general",
     "graded",
