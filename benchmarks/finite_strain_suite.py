@@ -46,11 +46,12 @@ class CountedProblem(NonlinearContactProblem):
         """Solve, and keep the steps."""
         steps: list[NewtonStep] = []
         self.solves.append(steps)
-        return super().solve(monitor=lambda x: steps.append(x) if is_step(x) else None)
 
+        def keep(event: Any) -> None:
+            if isinstance(event, NewtonStep):
+                steps.append(event)
 
-def is_step(event: Any) -> bool:
-    return isinstance(event, NewtonStep)
+        return super().solve(monitor=keep)
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Case:
     end: float
     step: float
     published: dict[float, dict[str, Sequence[float]]] = field(default_factory=dict)
-    own: dict[float, float] = field(default_factory=dict)  # of the discrete problem
+    # downwards, of the same mesh in small steps
+    own: dict[float, float] = field(default_factory=dict)
 
 
 # vertical force, then horizontal force, of five codes
@@ -212,7 +214,7 @@ def twist(**options: Any) -> Case:
 
     def bent(x: Any) -> Any:
         # the lower half of a cube to that of a ball that touches the block
-        a, b, c = x[0] - 10, x[1], x[2] - 1
+        a, b, c = (x - np.array([[10], [0], [1]])).clip(-1, 1)
         ball = [
             p * np.sqrt(1 - q**2 / 2 - r**2 / 2 + q**2 * r**2 / 3)
             for p, q, r in ((a, b, c), (b, c, a), (c, a, b))
@@ -255,30 +257,21 @@ CASES: dict[str, Callable[..., Case]] = {
 }
 
 
-def run(cases=tuple(CASES), chosen=False, upto=0.0, verbose_steps=False):
-    """Go to the end of each case, or up to a load, and yield what was found at the marks."""
+def run(cases=tuple(CASES), chosen=False):
+    """Go to the end of each case, and yield what was found at the marks."""
     for name in cases:
-        yield from run_case(name, CASES[name](), chosen, upto, verbose_steps)
+        yield from run_case(name, CASES[name](), chosen)
 
 
-def run_case(name, case, chosen, upto, verbose):
+def run_case(name, case, chosen):
     """Yield a row for each mark that is reached, and one for the case."""
     start, load, accepted = time.process_time(), 0.0, 0
-    problem, end = case.problem, upto or case.end
+    problem = case.problem
     marks = sorted({*case.published, *case.own})
     failure = ""
     try:
-        for load in loads_of(case, chosen, end):
+        for load in loads_of(case, chosen):
             accepted += 1
-            if verbose:
-                steps = problem.solves[-1]
-                print(
-                    f"{load:.4f}: {case.forces()}, Newton {[len(s) for s in problem.solves][-3:]}, "
-                    f"residuals {' '.join(f'{s.residual:.0e}' for s in steps)}, lengths "
-                    f"{' '.join(f'{s.length:.2g}' for s in steps)}, products "
-                    f"{sum(s.products for s in steps)}",
-                    flush=True,
-                )
             for mark in marks:
                 if abs(mark - load) < 1e-9:
                     yield at_mark(name, case, mark)
@@ -299,9 +292,9 @@ def run_case(name, case, chosen, upto, verbose):
     yield {**row, "stopped": failure} if failure else row
 
 
-def loads_of(case, chosen, end):
+def loads_of(case, chosen):
     """Yield the loads of accepted steps, of one length or of that which is chosen."""
-    steps = case.problem.steps
+    steps, end = case.problem.steps, case.end
     if chosen:
         # marks are reached exactly
         ends = [mark for mark in sorted({*case.published, *case.own}) if mark < end] + [end]
@@ -322,12 +315,13 @@ def loads_of(case, chosen, end):
 def at_mark(name, case, mark):
     """Return the forces at a mark, and their distances from the published band and own values."""
     row = {"case": name, "load": mark}
-    for force, value in case.forces().items():
+    forces = case.forces()
+    for force, value in forces.items():
         row[force] = value
         if codes := case.published.get(mark, {}).get(force):
             row[f"{force}, band"] = f"{min(codes):.4g} to {max(codes):.4g}"
             low, high = value / min(codes) - 1.0, value / max(codes) - 1.0
-            row["outside"] = f"{min(low, 0.0) or max(high, 0.0):.1%}"
+            row[f"{force}, outside"] = f"{min(low, 0.0) or max(high, 0.0):.1%}"
     if mark in case.own:
-        row["own"] = f"{value / case.own[mark] - 1.0:.2%}"
+        row["down, own"] = f"{forces['down'] / case.own[mark] - 1.0:.2%}"
     return row

@@ -45,9 +45,20 @@ class Correction:
     """The solution of a step with the Hessian of contact."""
 
     change: Change
-    solves: int
-    products: int
-    left: float  # part of the residual
+    solves: int = 0
+    products: int = 0
+    left: float = 0.0  # part of the residual
+    added: Change | None = None  # by GMRES to the solution without the Hessian
+    curvature: float = 0.0  # of the energy along that [J]
+
+    def downhill(self) -> Correction:
+        """Return it with what was added reversed, if the energy has a maximum along that.
+
+        An equilibrium that is not stable on the face is a saddle; the energy falls away from it.
+        """
+        if self.added is None or self.curvature >= 0.0:
+            return self
+        return replace(self, change=self.change.plus(-2.0, self.added))
 
 
 @dataclass(frozen=True)
@@ -174,10 +185,20 @@ class ContactHessian:
 
         tolerance = max(rtol * beta, negligible)
         parts, y, left = gmres(step, -left_out, self._space, tolerance=tolerance, max_it=_MOST)
-        for factor, change in zip(y, parts, strict=True):
-            first = first.plus(float(factor), change)
+        if not parts:
+            return Correction(first)
+        added = parts[0].plus(float(y[0]) - 1.0, parts[0])
+        for factor, change in zip(y[1:], parts[1:], strict=True):
+            added = added.plus(float(factor), change)
         left /= max(beta, self._space.norm(right), negligible)
-        return Correction(first, len(parts), products, left)
+        curvature = -self._work(left_out, added)
+        return Correction(first.plus(1.0, added), len(parts), products, left, added, curvature)
+
+    def _work(self, v: Vector, change: Change) -> float:
+        """Return the work of the forces of a vector along a change [J]. Collective."""
+        pairs = zip(self._data(v).loads, change.displacements, strict=True)
+        work = sum(float(load @ d) for load, d in pairs)
+        return float(self.load_step.torn.nodes.comm.allreduce(work))
 
     def _data(self, v: Vector) -> LinearData:
         """Return loads and jumps of a vector. Collective."""

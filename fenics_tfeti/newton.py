@@ -207,8 +207,9 @@ class NewtonIteration:
         """Solve the linearised problem of a step.
 
         First with exact tangents on the face of the rows that press. Where the face leaves these
-        unstable, with projected ones, for which GMRES makes up; where that does not get anywhere
-        with projected tangents in the whole contact problem.
+        unstable, with projected ones, for which GMRES makes up, but away from equilibria that are
+        not stable; where that does not get anywhere with projected tangents in the whole contact
+        problem.
         """
         options, face = self._options, self._load_step.face_of(state)
         on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
@@ -258,7 +259,7 @@ class NewtonIteration:
         comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
             return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
-        corrected = without = Correction(Change.of(solution), 0, 0, 0.0)
+        corrected = without = Correction(Change.of(solution))
         # forces of ties and bolts turn with them, too, and pressures follow the surface
         lacks = face.held.any() or face.rows.tied.size > 0
         lacks = lacks or not have_symmetric_tangents(system.subdomains)
@@ -280,6 +281,8 @@ class NewtonIteration:
                 if not is_last:
                     return None
                 corrected = without
+            if tangent == "projected":
+                corrected = corrected.downhill()
         free = describe_free_motions(system, solution.active, solution.sticking)
         report = replace(solution.report, free_motions=free)
         self.solution = replace(solution, report=report)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from finite_strains import indented_block, pressed_patch, squeezed_block
+from finite_strains import indented_block, leaning_column, pressed_patch, squeezed_block
 
 from fenics_tfeti import Coulomb, Plane
 
@@ -49,3 +49,16 @@ def test_forces_that_turn():
         0.1, False, cell="hexahedron", motion=20.0, friction=Coulomb(0.05), **ACCURATE
     )
     assert max(steps_of(scene, [0.5, 1.0])) <= 8
+
+
+@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
+def test_unstable_equilibria_are_left(loads):
+    """A column under a plane buckles; the straight one, with a tip that moves by 0.02, is a saddle.
+
+    The energy of the buckled one is less than a tenth of that.
+    """
+    scene = leaning_column()
+    assert max(steps_of(scene, loads)) <= 15
+    tip = scene.problem.u.x.array.reshape(-1, 2)[:, 0].max()
+    assert tip == pytest.approx(0.4422, abs=1e-3)
+    assert scene.problem.results[0].force[1] == pytest.approx(-3.495e-4, rel=1e-3)

@@ -288,6 +288,22 @@ def squeezed_block(
     return scene, -axial_force(1.0 - compression, dim) * up
 
 
+def leaning_column(lean: float = 0.01, compression: float = 0.1, **options: Any) -> Scene:
+    """Make a slender column, clamped at its base, that a rigid plane compresses to buckling."""
+    bodies = scenes.Scene.of_boxes(
+        MPI.COMM_WORLD,
+        "quadrilateral",
+        [((0, 0), (0.1, 1), (2, 12))],
+        [(BASE, at(1, 0)), (TOP, at(1, 1))],
+        lambda x: np.stack([x[0] + lean * x[1] ** 2, x[1]]),
+    )
+    u, down = fem.Function(bodies.V), {"now": 0.0}
+    bodies.fix(BASE)
+    bodies.add_obstacle(TOP, lambda x: Plane((0, 1 - down["now"]), (0, -1))(x))
+    W = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 3})
+    return Scene.of(bodies, u, W, lambda part: down.update(now=part * compression), **options)
+
+
 def turn(mesh: Any, degrees: float) -> Any:
     """Turn a mesh around the origin, and return the directions of its axes as columns."""
     dim = mesh.geometry.dim
