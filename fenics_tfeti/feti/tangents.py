@@ -136,25 +136,44 @@ def _tangent(subdomain: Subdomain, exact: bool, kind: TangentKind) -> Subdomain:
         )
     stressed = replace(subdomain, kernel="translations")
     translations, rotations = translations_and_rotations(x)
+    share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
+    limit = _STRESSED * share * K.diagonal().mean()
     energies = np.abs(translations.T @ (K @ translations))
     if energies.max() > rounding(np.abs(K.data).max(initial=0.0), ENERGY):
         # elastic supports, or axisymmetry
         if kind != "projected":
-            return stressed
+            free = _without_energy(K, translations)
+            return _without_small_forces(stressed, free, limit)
         _, sizes, motions = np.linalg.svd(K @ translations, full_matrices=False)
         R = translations @ motions[sizes <= ZERO * sizes.max()].T
         return replace(stressed, stiffness=_semidefinite(K, x, R))
     _, sizes, motions = np.linalg.svd(K @ rotations, full_matrices=False)
-    share = share_of_shear(bulk_over_shear(K, x), x.shape[1])
-    free = sizes <= _STRESSED * share * K.diagonal().mean()
+    free = sizes <= limit
     # weights of the copies of nodes need a positive diagonal
     if not exact or free.all() or K.diagonal().min() <= 0.0:
         return replace(subdomain, stiffness=projected_tangent(K, x), kernel="rigid")
     R = np.hstack([translations, rotations @ motions[free].T])
+    return _without_small_forces(stressed, R, np.inf if free.any() else limit)
+
+
+def _without_energy(K: sp.csr_matrix, motions: Vector) -> Vector:
+    """Return the motions without energy among orthonormal ones."""
+    energies, vectors = np.linalg.eigh(motions.T @ (K @ motions))
+    none = rounding(np.abs(K.data).max(initial=0.0), ENERGY)
+    return motions @ vectors[:, np.abs(energies) <= none]
+
+
+def _without_small_forces(subdomain: Subdomain, R: Vector, limit: float) -> Subdomain:
+    """Return a subdomain whose tangent does nothing to motions R without energy.
+
+    Forces above a limit are left: those of pressures that follow the surface (`set_free`).
+    """
+    K, x = subdomain.stiffness, subdomain.coordinates_in_frame
     forces = forces_of_motions(K, R)
-    if not forces.any():
-        return stressed
-    return replace(stressed, stiffness=_projected(K, R, forces, _fixed_unknowns(x, FIXING_NODES)))
+    if not forces.any() or np.linalg.norm(forces, axis=0).max() > limit:
+        return subdomain
+    projected = _projected(K, R, forces, _fixed_unknowns(x, FIXING_NODES))
+    return replace(subdomain, stiffness=projected)
 
 
 def _damped(chosen: Subdomain, K: sp.csr_matrix, size: float) -> Subdomain:

@@ -79,6 +79,24 @@ def tube(
     return Pressurised(problem, F, u, p, lambda part: setattr(p, "value", 0.14 * part))
 
 
+def strip(degree: int = 1, comm: MPI.Intracomm = MPI.COMM_WORLD) -> Pressurised:
+    """Make a strip, clamped at one end, that the pressure on its upper side bends.
+
+    The surface that is loaded ends freely: the tangent is not symmetric.
+    """
+    marks = [(FIRST, at(0, 0.0)), (ABOVE, at(1, 1.0))]
+    box = (0, 0), (4, 1), (16 // degree, 4 // degree)
+    body = scenes.Scene.of_boxes(comm, "quadrilateral", [box], marks, degree=degree)
+    u, p = fem.Function(body.V), fem.Constant(body.mesh, 0.0)
+    body.fix(FIRST)
+    W = _energy(ufl.Identity(2) + ufl.grad(u), YOUNG, POISSON)
+    F = ufl.derivative(W * ufl.dx(metadata={"quadrature_degree": 2 * degree}), u, body.v)
+    F += follower_pressure(p, u, body.ds(ABOVE))
+    options = {"newton_rtol": 1e-9, "subdomain_size": 60}
+    problem = NonlinearContactProblem(F, u, bcs=body.bcs, options=options)
+    return Pressurised(problem, F, u, p, lambda part: setattr(p, "value", 4e-3 * part))
+
+
 def _energy(G: Any, young: float, nu: float, dilatation: float = 1.0) -> Any:
     mu, lmbda = young / (2 * (1 + nu)), dilatation * young * nu / ((1 + nu) * (1 - 2 * nu))
     log = ufl.ln(ufl.det(G))

@@ -227,7 +227,8 @@ def downdated_cholesky(
         library = supernodal_library()[0] if package == "cholmod" else None
         if library is None:
             raise _Unusable("it needs CHOLMOD with compiled solves")
-        # the springs are added to these arrays
+        # the springs are added to these arrays, on the diagonal
+        matrix = _with_diagonal(matrix)
         matrix.sort_indices()
         spring, methods = matrix.diagonal().max(), _cholmod_orderings(matrix.shape[0])
         A = SupernodalFactor(library, matrix, width, methods, last, spring, _SPRINGS)
@@ -241,6 +242,16 @@ def downdated_cholesky(
             f"the downdated Cholesky factorisation by {package} failed ({error})"
         ) from error
     return factor
+
+
+def _with_diagonal(matrix: sp.csr_matrix) -> sp.csr_matrix:
+    """Return a matrix that stores its diagonal, zeros as well; the same one if it has none."""
+    if matrix.diagonal().all():
+        return matrix
+    A, diagonal = matrix.tocoo(), np.arange(matrix.shape[0])
+    row, column = np.append(A.row, diagonal), np.append(A.col, diagonal)
+    data = np.append(A.data, np.zeros(diagonal.size))
+    return sp.csr_matrix((data, (row, column)), shape=matrix.shape)
 
 
 def sparse_ldl(matrix: sp.csr_matrix) -> SparseFactor:

@@ -15,6 +15,10 @@ applies to the subdomain with its ground as to any other.
 
 The scale of y makes the flexibility of its row 1 / tau for every s, as for the nodes of the
 subdomain where tau is a diagonal entry of K.
+
+A pressure that follows the surface of a part of a body does to translations R_s of it what it does
+to the border of that part: K R_s is not zero, but R_s'KR_s is. The same matrix, with |K R_s| for s
+in V and zero for tau I, has the kernel of rigid motions then.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.feti.local.rigid_body_modes import low_energy_modes
 from fenics_tfeti.feti.system import Subdomain
-from fenics_tfeti.feti.tolerances import FEW, rounding
+from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
 from fenics_tfeti.typing import Vector
 
 
@@ -43,15 +47,18 @@ def set_free(subdomain: Subdomain) -> FloatingSubdomain:
     """Return a subdomain with the ground of its soft supports as unknowns."""
     K = subdomain.stiffness
     R, energies = low_energy_modes(subdomain)
-    soft = np.flatnonzero(energies)
+    tau, forces = float(K.diagonal().mean()), forces_of_motions(K, R)
+    size = np.where(energies > 0.0, energies, np.linalg.norm(forces, axis=0))
+    is_tangent = isinstance(subdomain.kernel, str) and subdomain.kernel == "translations"
+    soft = np.flatnonzero(size > ZERO * tau if is_tangent else energies)
     if not soft.size:
         return FloatingSubdomain(K, R, 0)
-    tau = float(K.diagonal().mean())
-    V = sp.csr_matrix(-forces_of_motions(K, R[:, soft]) * np.sqrt(tau / energies[soft]))
-    stiffness = sp.bmat([[K, V], [V.T, tau * sp.identity(soft.size)]], format="csr")
+    V = sp.csr_matrix(-forces[:, soft] * np.sqrt(tau / size[soft]))
+    ground = sp.diags(tau * energies[soft] / size[soft])
+    stiffness = sp.bmat([[K, V], [V.T, ground]], format="csr")
     stiffness.sort_indices()
     follow = np.zeros((soft.size, R.shape[1]))
-    follow[np.arange(soft.size), soft] = np.sqrt(energies[soft] / tau)
+    follow[np.arange(soft.size), soft] = np.sqrt(size[soft] / tau)
     return FloatingSubdomain(stiffness, np.vstack([R, follow]), int(soft.size))
 
 

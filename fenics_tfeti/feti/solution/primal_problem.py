@@ -195,8 +195,11 @@ class PrimalProblem:
                 sums.strain2[members] = np.sum(strained * forces, axis=1)
                 sums.residual2[members] = np.sum((of_strained - forces) ** 2, axis=1)
                 sums.force2[members] = np.sum(applied, axis=1)
-                if K.nnz:
-                    sums.flexibility[members] = applied @ (1.0 / K.diagonal())
+                # neither rigid bodies nor the ground of pressures have any
+                d = K.diagonal()
+                sums.flexibility[members] = applied @ np.divide(
+                    1.0, d, out=np.zeros_like(d), where=d > 0.0
+                )
                 work = u * (0.5 * (of_strained + of_difference) - load)
                 sums.energy[members] = np.sum(work, axis=1)
         return sums

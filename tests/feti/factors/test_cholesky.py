@@ -251,6 +251,15 @@ def test_what_is_not_downdated(A, U, message):
         downdated_cholesky(A, U, "cholmod")
 
 
+def test_downdated_factor_of_a_matrix_without_a_diagonal_entry():
+    """A spring is added to an entry that is not stored."""
+    A = sp.csr_matrix(np.array([[2.0, 1.0], [1.0, 0.0]]))
+    assert A.nnz == 3
+    factor = downdated_cholesky(A, np.zeros((2, 0)), "cholmod")
+    assert factor.negative == 1
+    np.testing.assert_allclose(factor.solve(np.array([3.0, 1.0])), [1.0, 1.0], rtol=1e-14)
+
+
 def test_downdated_factor_needs_compiled_solves(monkeypatch):
     monkeypatch.setattr(cholesky, "supernodal_library", lambda: (None, "no compiler"))
     with pytest.raises(FactorizationError, match="compiled solves"):
