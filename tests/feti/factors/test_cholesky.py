@@ -251,6 +251,7 @@ def test_what_is_not_downdated(A, U, message):
         downdated_cholesky(A, U, "cholmod")
 
 
+@compiled
 def test_downdated_factor_of_a_matrix_without_a_diagonal_entry():
     """A spring is added to an entry that is not stored."""
     A = sp.csr_matrix(np.array([[2.0, 1.0], [1.0, 0.0]]))
