@@ -41,13 +41,17 @@ def test_as_many_steps_as_with_the_whole_tangent(make, degree):
 
 @pytest.mark.ranks
 def test_seal_that_contact_alone_holds():
-    """Its wall carries the pressure over its present height."""
+    """Its wall carries the pressure over its present height.
+
+    Where the pressure jumps to 2.5 times the modulus, tangents are not positive at first.
+    """
     scene = seal(newton_rtol=1e-8, subdomain_size=60)
     for load in (1.0, 1.5, 2.0):
         scene.set_load(load)
         scene.problem.solve()
-        assert len(scene.problem.report.newton) <= 10
         scene.problem.advance()
+    # subdomains have the whole tangent, which together is symmetric
+    assert all(step.corrections <= 1 for step in scene.problem.report.newton[-3:])
     floor, lid, wall = (result.force for result in scene.problem.results)
     assert wall[0] == pytest.approx(-0.85 * 30e6, rel=1e-6)
     assert lid[1] == pytest.approx(-floor[1], rel=1e-6)
