@@ -33,7 +33,8 @@ import ufl
 from fenics_tfeti import ContactProblem, Plane
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, pcpg
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
+from fenics_tfeti.feti.dual.pcpg import pcpg
 from fenics_tfeti.qp import Products
 
 METHODS = {
@@ -96,14 +97,12 @@ PROBLEMS: dict[str, Callable[[bool], ContactProblem]] = {
 
 def linear_products(solver: TornSolver, multipliers: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem on the final active set costs from a zero start."""
-    problem, constraints = solver.dual_problem(), solver.setup.constraints
-    products = Products()
-    active = multipliers[constraints.inequality] > 0.0
-    projector = Projector.build(solver.setup.projector.coarse_space, active)
+    problem, products = solver.dual_problem(), Products()
+    projector = Projector.build(problem.coarse_space, problem.face_of(multipliers))
     limit, start = solver.options.max_products, np.zeros_like(multipliers)
     pcpg(
         problem,
-        Face.build(problem, ContactState.of(problem, multipliers), projector),
+        FaceOperators.build(problem, projector),
         start,
         tolerance=tolerance,
         sign_factor=0.0,

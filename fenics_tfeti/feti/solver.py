@@ -19,6 +19,7 @@ from fenics_tfeti.feti.coarse.feasible_start import feasible_start
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import check_load
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.ground import hold_ground
@@ -192,16 +193,15 @@ class TornSolver:
                 projector = same_B.projector
             else:
                 interface = Interface.build(constraints.matrix, local.classes)
-                projector = Projector.build(
-                    CoarseSpace.build(
-                        system,
-                        constraints,
-                        interface,
-                        local.kernels,
-                        package,
-                        options.coarse_solver,
-                    )
+                coarse_space = CoarseSpace.build(
+                    system,
+                    constraints,
+                    interface,
+                    local.kernels,
+                    package,
+                    options.coarse_solver,
                 )
+                projector = Projector.build(coarse_space, Face.whole(constraints))
         with phase("feasible start"):
             data = self._data(local, projector, c, constraints.friction)
         with phase("factorisation"):

@@ -24,6 +24,7 @@ from torn import cube, node_rows, with_fields, with_prescribed
 
 from fenics_tfeti import InputError, UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.parallel import concatenate_ranks
 
@@ -286,7 +287,7 @@ def test_preconditioner_is_that_of_one_rank():
         on_face[constraints.contacts.own_rows] = active[mine]
         x, on_face = constraints.layout.sum(x), constraints.layout.sum(on_face)
         rows = constraints.equality | (on_face > 0.0)
-        M = solver.setup.preconditioner.on_face(rows)
+        M = solver.setup.preconditioner.on(Face.of_rows(constraints, rows))
         return constraints.layout.space.dots((x, constraints.layout.sum(M(x))))[0]
 
     mine = slice(COMM.rank, None, COMM.size)

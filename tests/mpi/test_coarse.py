@@ -19,6 +19,7 @@ from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.factors import cholesky
 from fenics_tfeti.report import ContactReport
 
@@ -80,7 +81,7 @@ def test_projections_of_a_sum_of_parts(kind):
     own, Qy = projector.part_of_Q(y)
     np.testing.assert_allclose(Qy, projector.Q(y), atol=1e-13)
     np.testing.assert_allclose(layout.sum(own), Qy, atol=1e-13)
-    face = Projector.build(space, np.zeros(constraints.inequality.size, dtype=bool))
+    face = Projector.build(space, Face.supports(constraints))
     G = np.stack([space.prolong(a) for a in np.eye(space.size)], axis=1)
     chosen = constraints.equality & (np.arange(y.size) < layout.owned)
     gram = comm.allreduce(G[chosen].T @ G[chosen])
@@ -152,10 +153,9 @@ def test_iterations_that_do_not_converge_are_replaced_by_a_factor(caplog):
 
 def test_faces_are_known_again_on_all_ranks_or_on_none():
     cache = FaceCache(comm)
-    rows = np.zeros(3, dtype=bool)
-    cache.keep(rows, None, 0)
-    cache.keep(~rows, None, 1)
-    assert cache.find(rows, None) == 0
-    changed = rows.copy()
-    changed[0] = comm.rank == comm.size - 1
-    assert cache.find(changed, None) is None
+    constraints = column_solver("redundant").setup.constraints
+    none, whole = Face.supports(constraints), Face.whole(constraints)
+    cache.keep(none, 0)
+    cache.keep(whole, 1)
+    assert cache.find(none) == 0
+    assert cache.find(whole if comm.rank == comm.size - 1 else none) is None

@@ -10,7 +10,7 @@ from lattice import box_stiffness, lattice_points
 
 from fenics_tfeti.feti import ContactRows, Prescribed, Subdomain, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.problem import DualProblem
 
 YOUNG, POISSON = 1.0, 0.3
@@ -111,10 +111,10 @@ def matrix(rows: ContactRows, nodes: np.ndarray) -> np.ndarray:
     return C
 
 
-def face_of(problem: DualProblem, active: np.ndarray) -> Face:
-    """Return the face of no multipliers with these active contact rows."""
-    contact_state = ContactState.of(problem, np.zeros_like(problem.d), active)
-    return Face.build(problem, contact_state, Projector.build(problem.coarse_space, active))
+def operators_on(problem: DualProblem, active: np.ndarray) -> FaceOperators:
+    """Return the operators of the face of no multipliers with these active contact rows."""
+    face = problem.face_of(np.zeros_like(problem.d), active)
+    return FaceOperators.build(problem, Projector.build(problem.coarse_space, face))
 
 
 @dataclass

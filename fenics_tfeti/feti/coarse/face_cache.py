@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.feti.constraints.face import Face
 
 # a factor takes as much memory as dozens of multipliers
 _KEPT = 2
@@ -24,15 +24,13 @@ class FaceCache:
     """The last faces, the latest one first."""
 
     comm: MPI.Intracomm
-    # ((rows, across), see `Projector`, and what is kept for them)
-    kept: list[tuple[tuple[Any, ...], Any]] = field(default_factory=list)
+    kept: list[tuple[Face, Any]] = field(default_factory=list)
 
-    def find(self, rows: Mask, across: Vector | None) -> Any:
-        """Return what was kept for a face, or None, on all ranks alike. Collective."""
-        face: tuple[Any, ...] = rows, across
+    def find(self, face: Face) -> Any:
+        """Return what was kept for the rows of a face, or None, on all ranks alike. Collective."""
         same = np.zeros(_KEPT, dtype=np.int32)
         for i, (other, _) in enumerate(self.kept):
-            same[i] = all(np.array_equal(x, y) for x, y in zip(face, other, strict=True))
+            same[i] = face.has_rows_of(other)
         if self.kept:
             self.comm.Allreduce(MPI.IN_PLACE, same, MPI.LAND)
         if not same.any():
@@ -40,7 +38,7 @@ class FaceCache:
         self.kept.insert(0, self.kept.pop(int(same.argmax())))
         return self.kept[0][1]
 
-    def keep(self, rows: Mask, across: Vector | None, belonging: Any) -> None:
+    def keep(self, face: Face, belonging: Any) -> None:
         """Keep an object for a face in place of that of the oldest one."""
-        self.kept.insert(0, ((rows, across), belonging))
+        self.kept.insert(0, (face, belonging))
         del self.kept[_KEPT:]

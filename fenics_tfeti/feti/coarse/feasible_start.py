@@ -21,6 +21,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import LoadedGroup, raise_unresisted, split_by_groups
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import SURFACE, ZERO
@@ -54,7 +55,7 @@ def feasible_start(
     a cost, how much friction it would take. Collective.
     """
     constraints = coarse_space.constraints
-    supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+    supports = Projector.build(coarse_space, Face.supports(constraints))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
     free, weak = coarse_space.softly_supported()

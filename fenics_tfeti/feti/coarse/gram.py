@@ -10,7 +10,6 @@ too, and return as a correction: (GG')^+ = A^{-1} + ZZ' and Q = G'A^{-1}G + WW' 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,6 +19,7 @@ from fenics_tfeti.feti.coarse.column_groups import pivot_rows
 from fenics_tfeti.feti.coarse.factor import CoarseFactor
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import WEAK, rounding
 from fenics_tfeti.typing import Vector
 
@@ -36,19 +36,17 @@ class GramInverse:
     @staticmethod
     def build(
         coarse_space: CoarseSpace,
-        columns: sp.csr_matrix,
+        face: Face,
         free: sp.csr_matrix,
         single: int,
         weak: sp.csr_matrix,
-        on_rows: Callable[[Vector], Vector],
     ) -> GramInverse:
-        """Factor A and correct its inverse. Collective.
+        """Factor A of a face and correct its inverse. Collective.
 
-        The columns (coarse, r) of G are those of the face but for the equality rows. Free are
-        motions (coarse, k), the first of them of a single body, weak are z (modes * bodies, n) of
-        `BodyMotions`; on_rows maps x (m,) to its part on the rows of the face.
+        Free are motions (coarse, k), the first of them of a single body, weak are
+        z (modes * bodies, n) of `BodyMotions`.
         """
-        layout = coarse_space.layout
+        layout, columns = coarse_space.layout, coarse_space.columns(face)
         gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
         pins = _pins(coarse_space, gram, free, single, weak)
         factor = layout.factor(
@@ -59,18 +57,16 @@ class GramInverse:
         inverse = GramInverse(dual_layout, factor, *none)
         if not weak.shape[1]:
             return inverse
-        return inverse._corrected(coarse_space, weak.toarray(), on_rows)
+        return inverse._corrected(coarse_space, face, weak.toarray())
 
-    def _corrected(
-        self, coarse_space: CoarseSpace, weak: Vector, on_rows: Callable[[Vector], Vector]
-    ) -> GramInverse:
+    def _corrected(self, coarse_space: CoarseSpace, face: Face, weak: Vector) -> GramInverse:
         """Return A^{-1} with its correction for weakly resisted motions, which A pins."""
         restrict, owned = coarse_space.restrict, self.layout.owned
         # Z = (I - A^{-1} GG') T z, W = G'Z; what T z does to the rows is known without rounding
         moved = coarse_space.moved_rows(weak)
-        follow = np.column_stack([self.factor.solve(restrict(on_rows(x))) for x in moved.T])
+        follow = np.column_stack([self.factor.solve(restrict(face.part(x))) for x in moved.T])
         W = moved - np.column_stack([coarse_space.prolong(column) for column in follow.T])
-        on_face = np.column_stack([on_rows(column) for column in W.T])[:owned]
+        on_face = np.column_stack([face.part(column) for column in W.T])[:owned]
         # Z and W times V S^{-1/2} with W'W = VSV'; motions that only springs resist move no row
         squares, V = np.linalg.eigh(self.layout.space.sum_over_ranks(on_face.T @ on_face))
         moving = squares > rounding(squares.max(initial=0.0))

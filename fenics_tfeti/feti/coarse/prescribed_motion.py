@@ -15,6 +15,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import ProductSet, projected_newton
@@ -37,7 +38,7 @@ def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
     size = _displacement(coarse_space, prescribed, np.flatnonzero(prescribed))
     if size == 0.0:
         return np.zeros(coarse_space.size)
-    supports = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+    supports = Projector.build(coarse_space, Face.supports(constraints))
     return _in_proportion(coarse_space, supports.coefficients(prescribed), size)
 
 

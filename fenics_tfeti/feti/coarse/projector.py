@@ -1,15 +1,13 @@
 """Projector preconditioning: Q onto the natural coarse space Im G' and P onto Ker G (sec. 11.8).
 
-The rows of G are those of the equality constraints, of some contact rows and of some tangential
-rows: of all of them for the dual problem, for a face of it of the active ones and those that stick.
-Where a site of friction slips, the combination of its rows across its force may be added.
+The rows of G are those of a face: the equality rows, some contact and tangential rows, and the
+combinations of rows across forces that turn. For the dual problem they are all rows.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,9 +16,9 @@ from fenics_tfeti.feti.coarse.column_groups import of_one_body, orthonormal_colu
 from fenics_tfeti.feti.coarse.gram import GramInverse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
-from fenics_tfeti.feti.constraints.friction import FrictionRows
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Vector
 
 # error of one application of P up to which it is accurate, and limit on the applications
 _ACCURATE, _MOST_PASSES = 1e-11, 4
@@ -28,64 +26,30 @@ _ACCURATE, _MOST_PASSES = 1e-11, 4
 
 @dataclass(frozen=True)
 class Projector:
-    """Q = G'(GG')^+ G and P = I - Q for the equality rows and some contact and tangential rows."""
+    """Q = G'(GG')^+ G and P = I - Q of a face; what is off it counts as zero."""
 
     coarse_space: CoarseSpace
-    rows: Mask  # rows of B (m,); other entries of a multiplier count as zero
-    # (k, gdim - 1): unit vectors at sites of friction, or zero, that combine their rows
-    across: Vector | None
+    face: Face
     free: sp.csr_matrix  # (coarse, k): orthonormal kernel of GG', motions these rows do not resist
     free_bodies: sp.csr_matrix  # (modes * bodies, k): the same, see `BodyMotions`
     gram: GramInverse  # (GG')^+
     passes: int = 1  # applications of P, one after the other, that make it accurate
 
     @staticmethod
-    def build(
-        coarse_space: CoarseSpace,
-        active: Mask | None = None,
-        sticking: Mask | None = None,
-        across: Vector | None = None,
-    ) -> Projector:
-        """Factor GG' of the equality rows and the chosen others. Collective.
-
-        By default all contact and all tangential rows are chosen; with active contact rows (i,),
-        the tangential rows are those of sticking sites (k,), by default none, and the combinations
-        across (k, gdim - 1): unit vectors at sites that do not stick, zero at others.
-        """
-        constraints = coarse_space.constraints
-        chosen = np.ones(constraints.inequality.size, dtype=bool) if active is None else active
-        if sticking is None:
-            sticking = np.full(constraints.friction.size, active is None)
-        rows = constraints.face(chosen, sticking)
-        known = coarse_space.faces.find(rows, across)
+    def build(coarse_space: CoarseSpace, face: Face) -> Projector:
+        """Factor GG' of the rows of a face. Collective."""
+        known = coarse_space.faces.find(face)
         if known is not None:
-            return Projector(coarse_space, rows, across, **known)
-        projector = Projector._of_rows(coarse_space, rows, across)
+            return Projector(coarse_space, face, **known)
+        z, weak = coarse_space.weakly_resisted(face)
+        free, single = _orthonormal_motions(coarse_space, z)
+        gram = GramInverse.build(coarse_space, face, free, single, weak)
+        projector = Projector(coarse_space, face, free, z, gram)
+        projector = replace(projector, passes=projector._passes())
         # without the coarse space, which owns the cache: no cycle keeps the factors in memory
         kept = {k: getattr(projector, k) for k in ("free", "free_bodies", "gram", "passes")}
-        coarse_space.faces.keep(rows, across, kept)
+        coarse_space.faces.keep(face, kept)
         return projector
-
-    @staticmethod
-    def _of_rows(coarse_space: CoarseSpace, rows: Mask, across: Vector | None) -> Projector:
-        """Factor GG' of some rows and combinations."""
-        constraints = coarse_space.constraints
-        combined = owned = None
-        if across is not None:
-            combined = constraints.friction.combined(across, rows.size)
-            owned = combined[constraints.owned_sites]
-        z, weak = coarse_space.weakly_resisted(rows, combinations=owned)
-        free, single = _orthonormal_motions(coarse_space, z)
-        gram = GramInverse.build(
-            coarse_space,
-            coarse_space.columns(rows, combined),
-            free,
-            single,
-            weak,
-            partial(_on_rows, constraints.friction, rows, across),
-        )
-        projector = Projector(coarse_space, rows, across, free, z, gram)
-        return replace(projector, passes=projector._passes())
 
     def _passes(self) -> int:
         """Return how many applications make P accurate, by the error of one. Collective.
@@ -96,7 +60,7 @@ class Projector:
         by the same factor.
         """
         layout = self.coarse_space.constraints.layout
-        x = self.on_rows(seeded_vector(layout.numbers))
+        x = self.face.part(seeded_vector(layout.numbers))
         left = self.Q(self.P(x))
         squares = layout.space.dots((x, x), (left, left))
         error = float(np.sqrt(squares[1] / (squares[0] or 1.0)))
@@ -135,7 +99,7 @@ class Projector:
         return self._repeated(self._coefficients, x, self.coarse_space.prolong)
 
     def _coefficients(self, x: Vector) -> Vector:
-        x = self.on_rows(x)
+        x = self.face.part(x)
         weak: Vector = self.gram.motions @ self.gram.weak_part(x)
         solution = self.gram.factor.solve(self.coarse_space.restrict(x)) + weak
         return self.without_free_motions(solution)
@@ -150,7 +114,7 @@ class Projector:
     def _least_norm(self, coarse: Vector) -> Vector:
         coarse = self.without_free_motions(coarse)
         weak = self.gram.rows @ (self.gram.motions.T @ coarse)
-        return self.on_rows(self.coarse_space.prolong(self.gram.factor.solve(coarse)) + weak)
+        return self.face.part(self.coarse_space.prolong(self.gram.factor.solve(coarse)) + weak)
 
     def _repeated(
         self,
@@ -166,10 +130,6 @@ class Projector:
 
     # -- multipliers ------------------------------------------------------------------------------
 
-    def on_rows(self, x: Vector) -> Vector:
-        """Return x with zeros outside the rows, but for the combinations across."""
-        return _on_rows(self.coarse_space.constraints.friction, self.rows, self.across, x)
-
     def Q(self, x: Vector) -> Vector:
         """Return Qx = G'(GG')^+ Gx."""
         return self._sum(self.part_of_Q(x)[0])
@@ -183,11 +143,11 @@ class Projector:
     def P_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
         """Return Py on the rows and x'y, where y is the sum of the ranks' parts; one exchange."""
         motion, xy = self._own_motion(part, x)
-        return self._refined(self._sum(self.on_rows(part - motion))), xy
+        return self._refined(self._sum(self.face.part(part - motion))), xy
 
     def part_of_P(self, part: Vector) -> Vector:
         """Return this rank's part of Py on the rows, where y is the sum of the ranks' parts."""
-        rest = self.on_rows(part - self._own_motion(part)[0])
+        rest = self.face.part(part - self._own_motion(part)[0])
         if self.passes == 1:
             return rest
         return self.coarse_space.constraints.layout.owned_part(self._refined(self._sum(rest)))
@@ -205,11 +165,11 @@ class Projector:
         return self.coarse_space.constraints.layout.owned_part(Qx), Qx
 
     def _part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
-        coarse_space, x = self.coarse_space, self.on_rows(x)
+        coarse_space, x = self.coarse_space, self.face.part(x)
         own, others = self.gram.factor.solve_own(coarse_space.restrict_own(x))
-        part = self.on_rows(coarse_space.prolong_own(own))
-        weak = self.on_rows(self.gram.rows @ self.gram.weak_part(x))
-        Qx = part + self.on_rows(coarse_space.others_transposed @ others) + weak
+        part = self.face.part(coarse_space.prolong_own(own))
+        weak = self.face.part(self.gram.rows @ self.gram.weak_part(x))
+        Qx = part + self.face.part(coarse_space.others_transposed @ others) + weak
         return part + coarse_space.constraints.layout.owned_part(weak), Qx
 
     def remove_rigid_motion(self, part: Vector, x: Vector) -> tuple[Vector, float]:
@@ -230,7 +190,7 @@ class Projector:
         layout = self.coarse_space.constraints.layout
         for _ in range(1, self.passes):
             motion = self._own_motion(layout.owned_part(y), resisted=off_the_rows)[0]
-            y = y - self._sum(motion if off_the_rows else self.on_rows(motion))
+            y = y - self._sum(motion if off_the_rows else self.face.part(motion))
         return y
 
     def _own_motion(
@@ -238,7 +198,7 @@ class Projector:
     ) -> tuple[Vector, float]:
         """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
         coarse_space, layout = self.coarse_space, self.coarse_space.constraints.layout
-        chosen, weak = self.on_rows(part), self.gram.motions.shape[1]
+        chosen, weak = self.face.part(part), self.gram.motions.shape[1]
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.append(self.gram.rows.T @ chosen, [] if x is None else x @ part)
         own, sums = self.gram.factor.solve_sum(
@@ -261,12 +221,3 @@ def _orthonormal_motions(coarse_space: CoarseSpace, z: sp.csr_matrix) -> tuple[s
     motions = coarse_space.coarse_motions(z)
     alone = of_one_body(z.tocsc(), coarse_space.bodies.modes)
     return orthonormal_columns(motions[:, alone], motions[:, ~alone]), np.count_nonzero(alone)
-
-
-def _on_rows(friction: FrictionRows, rows: Mask, across: Vector | None, x: Vector) -> Vector:
-    """Return x on some rows, and its part along the combinations across."""
-    chosen = np.where(rows, x, 0.0)
-    if across is not None:
-        size = np.sum(friction.at_sites(x) * across, axis=1, keepdims=True)
-        chosen[friction.flat] += (size * across)[friction.present]
-    return chosen

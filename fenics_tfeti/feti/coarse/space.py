@@ -25,6 +25,7 @@ from fenics_tfeti.feti.coarse.factor import (
     choose_coarse_solver,
 )
 from fenics_tfeti.feti.coarse.resistance import weak_motions
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.factors.cholesky import available_packages
@@ -143,12 +144,9 @@ class CoarseSpace:
         """Return what this rank's coarse unknowns add to G'a."""
         return self.own @ own
 
-    def columns(self, rows: Mask, combined: sp.csr_matrix | None) -> sp.csr_matrix:
-        """Return the columns of G of some rows (m,), but equality rows, on all ranks' unknowns.
-
-        Combinations (k, m) of tangential rows follow.
-        """
-        constraints = self.constraints
+    def columns(self, face: Face) -> sp.csr_matrix:
+        """Return the columns of G of a face, but equality rows, on all ranks' unknowns."""
+        constraints, rows, combined = self.constraints, face.rows, face.combinations()
         columns = [self.contact[:, np.flatnonzero(rows[constraints.inequality])]]
         if constraints.friction.size:
             columns.append(self.friction[:, np.flatnonzero(rows & ~constraints.equality)])
@@ -212,21 +210,19 @@ class CoarseSpace:
         return self.ends[congruent.members][:, None] + np.arange(modes)
 
     def weakly_resisted(
-        self, rows: Mask, below: float = WEAK, combinations: sp.csr_matrix | None = None
+        self, face: Face, below: float = WEAK
     ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """Return the rigid motions of bodies that some rows resist not at all, and weakly.
+        """Return the rigid motions of bodies that a face resists not at all, and weakly.
 
-        The rows have all equality rows among them. By default, motions count as weak if their
-        resistance, squared in GG', would be lost to rounding. Combinations (q, m) of rows, of unit
-        length and owned by this rank, resist as well. The motions z (modes * bodies, k) of
-        `BodyMotions` are orthonormal; where bodies move by themselves, each is that of one body.
-        Collective.
+        By default, motions count as weak if their resistance, squared in GG', would be lost to
+        rounding. The motions z (modes * bodies, k) of `BodyMotions` are orthonormal; where bodies
+        move by themselves, each is that of one body. Collective.
         """
         free, soft = self.softly_supported()
         if not free.shape[1] + soft.shape[1]:
             # the equality rows resist more than that already
             return free, soft
-        return self._resisted(rows, below, combinations)
+        return self._resisted(face, below)
 
     def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
         """Return the motions of bodies that equality rows resist not at all, and softly: (z, z).
@@ -237,15 +233,15 @@ class CoarseSpace:
 
     @cached_property
     def _softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        return self._resisted(self.constraints.equality, _SOFTLY, None)
+        return self._resisted(Face.supports(self.constraints), _SOFTLY)
 
-    def _resisted(
-        self, rows: Mask, below: float, combinations: sp.csr_matrix | None
-    ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        owned = np.flatnonzero(rows[: self.constraints.layout.owned])
+    def _resisted(self, face: Face, below: float) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+        owned = np.flatnonzero(face.rows[: self.constraints.layout.owned])
         unresisted = max(ZERO, self.bodies.rounding)
         moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
+        combinations = face.combinations()
         if combinations is not None:
+            combinations = combinations[self.constraints.owned_sites]
             moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")
         resistance, z = weak_motions(
             self.comm,

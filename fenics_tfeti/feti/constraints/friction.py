@@ -201,15 +201,10 @@ class FrictionRows:
         mask[self.rows[self.present & sites[:, None]]] = True
         return mask
 
-    def off_face(self, sticking: Mask, multipliers: Vector) -> Vector:
-        """Return the multipliers (m,) of the sites that slip, with zeros elsewhere."""
-        forces = np.where(sticking[:, None], 0.0, self.at_sites(multipliers))
-        return self.spread(forces, multipliers.size)
-
-    def combined(self, across: Vector, size: int) -> sp.csr_matrix:
-        """Return the combinations (k, m) of the rows of each site with coefficients across."""
+    def combined(self, vectors: Vector, size: int) -> sp.csr_matrix:
+        """Return the combinations (k, m) of the rows of each site with coefficients (k, d)."""
         sites = np.broadcast_to(np.arange(self.size)[:, None], self.rows.shape)[self.present]
-        entries = across[self.present], (sites, self.flat)
+        entries = vectors[self.present], (sites, self.flat)
         return sp.csr_matrix(entries, (self.size, size))
 
     def at_bound(self, multipliers: Vector, radius: Vector) -> Vector:
@@ -217,18 +212,6 @@ class FrictionRows:
         forces = self.at_sites(multipliers)
         at_bound = balls.on_boundary(forces, radius, ~balls.inside(forces, radius))
         return self.with_sites(multipliers, at_bound)
-
-    def across(self, multipliers: Vector, sticking: Mask) -> Vector | None:
-        """Return the unit vectors across the forces of sites that slip, (k, 2); zeros at others.
-
-        A force of a given size turns in this direction, and its slip has no part in it. There is
-        none where the sets are intervals, on any rank.
-        """
-        if not self.curved:
-            return None
-        along = balls.directions(self.at_sites(multipliers))
-        along *= self.present.all(axis=1, keepdims=True)
-        return np.where(sticking[:, None], 0.0, balls.tangents(along))
 
     def within(self, rows: Mask) -> Mask:
         """Tell of which sites the rows are in a mask (m,)."""

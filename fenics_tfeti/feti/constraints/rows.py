@@ -147,15 +147,6 @@ class Constraints:
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
 
-    def face(self, active: NDArray[np.bool_], sticking: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Return the mask (m,) of the rows of a face.
-
-        On it are the inequality rows `active` (i,) and the rows of the sites `sticking` (k,).
-        """
-        rows = self.equality | self.friction.on_rows(sticking, self.size)
-        rows[self.inequality] = active
-        return rows
-
     @property
     def owned_inequalities(self) -> int:
         """Number of inequality rows that this rank owns; they come first."""

@@ -38,6 +38,7 @@ from numpy.typing import NDArray
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
@@ -95,7 +96,7 @@ class Deflation:
             return None
         own = _columns(constraints, vectors, first, total)
         everyone = constraints.layout.sum_sparse(own)
-        projector = Projector.build(coarse_space, np.zeros(constraints.inequality.size, dtype=bool))
+        projector = Projector.build(coarse_space, Face.supports(constraints))
         G = coarse_space.motions_of_rows(constraints.equality)
         X, W, V, squares = _coefficients(projector, G, everyone)
         parts = sp.hstack([everyone, G, sp.csr_matrix(W)])
@@ -271,7 +272,7 @@ def _coefficients(
     restriction = G[:, : int(coarse_space.ends[-1])].T
     places = np.concatenate([np.arange(layout.size)[layout.own], layout.others])
     gram = projector.gram
-    W = np.where(projector.rows[:, None], gram.rows, 0.0)
+    W = np.where(projector.face.rows[:, None], gram.rows, 0.0)
     X, V = np.zeros((places.size, C.shape[1])), np.zeros((W.shape[1], C.shape[1]))
     squares, owned = np.zeros(C.shape[1]), coarse_space.constraints.layout.owned
     for first in range(0, C.shape[1], COLUMNS):

@@ -19,10 +19,12 @@ import numpy as np
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.dependent_rows import closable
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, PCPGIterate, friction_step, pcpg
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate, friction_step, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import largest_of_ranks
@@ -83,7 +85,7 @@ class _ActiveSet:
     problem: DualProblem
     turn: Turn
     has_friction: bool  # whether some site has a bound
-    contact_state: ContactState  # of the next face
+    face: Face  # the next one
     iterate: Vector | PCPGIterate  # start on the next face
     gradient: Vector  # (m,): gaps, and slips with the opposite sign, before it
     resumes: bool  # whether the next face is that of the iterate
@@ -100,30 +102,28 @@ class _ActiveSet:
         none = np.zeros(rows.size, dtype=bool)
         has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
         if start.on_face is not None:
-            contact_state = start.on_face.contact_state
+            face = start.on_face.face
             return _ActiveSet(
-                problem, turn, has_friction, contact_state, start.on_face, problem.c, True, circle
+                problem, turn, has_friction, face, start.on_face, problem.c, True, circle
             )
         multipliers = start.multipliers
-        contact_state = ContactState.of(problem, multipliers, start.active, start.slips)
+        face = problem.face_of(multipliers, start.active, start.slips)
         # contact alone balances no load that friction holds
-        if not has_friction and not _counts(problem, contact_state.active)[0]:
+        if not has_friction and not _counts(problem, face.active)[0]:
             pressing = problem.feasible[rows]
-            contact_state = replace(contact_state, active=pressing > 0.0)
+            face = face.with_rows(pressing > 0.0, face.sticking)
             multipliers = multipliers.copy()
             multipliers[rows] += pressing
-        return _ActiveSet(
-            problem, turn, has_friction, contact_state, multipliers, problem.c, False, circle
-        )
+        return _ActiveSet(problem, turn, has_friction, face, multipliers, problem.c, False, circle)
 
     def step(self) -> _Step:
         """Solve on the face, and find the signs of forces and gaps."""
         problem, turn = self.problem, self.turn
         rows = problem.constraints.inequality
-        face = close_first_gaps(problem, self.contact_state, self.gradient)
+        operators = close_first_gaps(problem, self.face, self.gradient)
         iterate = pcpg(
             problem,
-            face,
+            operators,
             self.iterate,
             tolerance=turn.tolerance,
             sign_factor=self.progress.sign_factor,
@@ -131,16 +131,13 @@ class _ActiveSet:
             products=turn.products,
             resume=self.resumes,
         )
+        face = operators.face
         gradient = _without_tensile_rows(problem, face, iterate)
         active = iterate.multipliers[rows] > gradient[rows] / problem.norm
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         sticking = balls.inside(forces, problem.radius)
-        contact_state = face.contact_state
         changed, size, moved = _counts(
-            problem,
-            active != contact_state.active,
-            contact_state.active,
-            sites=sticking != contact_state.sticking,
+            problem, active != face.active, face.active, sites=sticking != face.sticking
         )
         changed += moved
         turn.monitor(ActiveSetStep(turn.products.total, iterate.residual, size, changed))
@@ -162,10 +159,10 @@ class _ActiveSet:
         if (
             solved
             and not self.repeated
-            and closable(problem, step.face.contact_state, iterate.multipliers) is None
+            and closable(problem, step.face, iterate.multipliers) is None
         ):
             return SolveStatus.SOLVED
-        self.progress.update(iterate.violation, step.face.contact_state.active)
+        self.progress.update(iterate.violation, step.face.active)
         if iterate.at_limit:
             return SolveStatus.AT_ROUNDING
         if self._cycles(step) or self.progress.stagnates or self.turn.is_spent:
@@ -185,20 +182,16 @@ class _ActiveSet:
         problem, face, iterate, gradient = self.problem, step.face, step.iterate, step.gradient
         exact = iterate.energy <= self.turn.tolerance
         if exact:
-            self.exact_sets.append(face.contact_state.active)
+            self.exact_sets.append(face.active)
         forces = problem.constraints.friction.spread(step.forces, gradient.size)
-        contact_state = _contact_state(problem, step.active, step.sticking, forces, gradient)
-        closed = closable(problem, contact_state, iterate.multipliers)
+        following = _face(problem, step.active, step.sticking, forces, gradient)
+        closed = closable(problem, following, iterate.multipliers)
         if closed is not None:
-            contact_state = _contact_state(
-                problem, closed.active, closed.sticking, closed.forces, gradient
-            )
+            following = _face(problem, closed.active, closed.sticking, closed.forces, gradient)
         # a face that is solved exactly makes no more progress: its directions have to change
         rotates = self.has_friction and (exact or _turned(problem, face, iterate, step.forces))
         self.resumes = step.changed == 0 and closed is None and not rotates
-        self.contact_state = (
-            replace(face.contact_state, active=step.active) if self.resumes else contact_state
-        )
+        self.face = face.with_rows(step.active, face.sticking) if self.resumes else following
         self.iterate, self.gradient = iterate, gradient
 
 
@@ -237,7 +230,7 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     Rows that pull will leave the set. The position of a body that only they hold is no more known
     than that of a loose one.
     """
-    constraints, active = problem.constraints, face.contact_state.active
+    constraints, active = problem.constraints, face.active
     forces = iterate.multipliers[constraints.inequality]
     largest = largest_of_ranks(constraints.layout.comm, forces)
     compressive = active & (forces > _NO_FORCE * largest)
@@ -245,8 +238,9 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     tensile, sites = _counts(problem, active & ~compressive, sites=everywhere)
     if sites or not tensile:
         return iterate.gradient
-    rows = constraints.face(compressive, np.zeros(0, dtype=bool))
-    loose = LooseBodies.without(problem.coarse_space, rows)
+    face = Face.of(constraints, compressive)
+    free = problem.coarse_space.weakly_resisted(face)[0]
+    loose = LooseBodies.of(problem.coarse_space, face, free)
     return iterate.gradient if loose is None else loose.at_least_penetration(iterate.gradient)
 
 
@@ -267,7 +261,7 @@ def unused_friction(problem: DualProblem, face: Face, iterate: PCPGIterate) -> f
     friction = problem.constraints.friction
     along = balls.directions(friction.at_sites(iterate.multipliers))
     unused = problem.radius * balls.misalignment(-friction.at_sites(iterate.gradient), along)
-    counted = ~face.contact_state.sticking & problem.constraints.owned_sites
+    counted = ~face.sticking & problem.constraints.owned_sites
     return float(np.sqrt(2.0 * max(problem.space.sums(float(unused @ counted))[0], 0.0)))
 
 
@@ -275,36 +269,33 @@ def _turned(problem: DualProblem, face: Face, iterate: PCPGIterate, forces: Vect
     """Tell whether the forces of slips change by more than the residual on the face. Collective."""
     friction = problem.constraints.friction
     change = np.zeros_like(iterate.gradient)
-    slipping = friction.present & ~face.contact_state.sticking[:, None]
-    change[friction.rows[slipping]] = (forces - friction.at_sites(face.contact_state.forces))[
-        slipping
-    ]
+    slipping = friction.present & ~face.sticking[:, None]
+    change[friction.rows[slipping]] = (forces - friction.at_sites(face.forces))[slipping]
     return problem.norm * problem.space.norm(change) > iterate.residual
 
 
-def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient: Vector) -> Face:
-    """Return the face of a set, with the rows added that bodies close when the load moves them.
+def close_first_gaps(problem: DualProblem, face: Face, gradient: Vector) -> FaceOperators:
+    """Return the operators of a face, with rows added that bodies close when the load moves them.
 
     Where the load does work on motions that the rows leave free, the bodies move until the first
-    gaps close, or the first slips are taken back; these rows join the set, and so on until the load
-    is balanced. The gradient (m,) is the gap on contact rows, scaled as the row, negative gaps
+    gaps close, or the first slips are taken back; these rows join the face, and so on until the
+    load is balanced. The gradient (m,) is the gap on contact rows, scaled as the row, negative gaps
     counting as closed, and minus the slip on tangential rows.
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
-    along = balls.directions(friction.at_sites(contact_state.forces))
+    along = balls.directions(friction.at_sites(face.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
-    active, sticking = contact_state.active, contact_state.sticking
+    active, sticking = face.active, face.sticking
     # forces that slips out of all proportion turn keep their directions on a face: rounding would
     # exceed what they turn by, and in the next face ZERO of the angle is left
-    stiff = ZERO * problem.unit * contact_state.curvature > 1.0
+    stiff = ZERO * problem.unit * face.curvature > 1.0
     while True:
-        tangent = friction.across(contact_state.forces, sticking | stiff)
-        projector = Projector.build(coarse_space, active, sticking, tangent)
-        contact_state = replace(contact_state, active=active, sticking=sticking)
-        work = projector.unresisted(_load(problem, contact_state), problem.e_size)
+        face = face.with_rows(active, sticking).with_turning_forces(but=stiff)
+        projector = Projector.build(coarse_space, face)
+        work = projector.unresisted(_load(problem, face), problem.e_size)
         if not work.any():
-            return Face.build(problem, contact_state, projector)
+            return FaceOperators.build(problem, projector)
         speed = coarse_space.contact.T @ work
         closing = ~active & (speed > ZERO * np.linalg.norm(work))
         step = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
@@ -314,7 +305,7 @@ def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient
         nearest = min(step.min(initial=np.inf), step_back.min(initial=np.inf))
         first = problem.space.dots_and_min(value=float(nearest))[0]
         if not np.isfinite(first):
-            return Face.build(problem, contact_state, projector)
+            return FaceOperators.build(problem, projector)
         # rows that close at once, up to rounding, join together
         active = active | (step <= first * (1.0 + ZERO))
         sticking = sticking | (step_back <= first * (1.0 + ZERO))
@@ -322,18 +313,18 @@ def close_first_gaps(problem: DualProblem, contact_state: ContactState, gradient
         slip = np.maximum(slip - first * back, 0.0)
 
 
-def _contact_state(
+def _face(
     problem: DualProblem, active: Mask, sticking: Mask, forces: Vector, gradient: Vector
-) -> ContactState:
-    """Return a set with the curvature that the slips of a gradient have along the forces."""
+) -> Face:
+    """Return a face with the curvature that the slips of a gradient have along the forces."""
     friction = problem.constraints.friction
     slips = -friction.at_sites(gradient)
     curvature = balls.curvature(friction.at_sites(forces), slips, problem.radius)
-    return ContactState(active, sticking, forces, curvature)
+    return Face.of(problem.constraints, active, sticking, forces, curvature)
 
 
-def _load(problem: DualProblem, contact_state: ContactState) -> Vector:
+def _load(problem: DualProblem, face: Face) -> Vector:
     """Return e without what the forces of slips carry."""
-    fixed = problem.constraints.friction.off_face(contact_state.sticking, contact_state.forces)
+    fixed = face.fixed
     carried = problem.space.sums(float(np.count_nonzero(fixed)))[0]
     return problem.e - problem.coarse_space.restrict(fixed) if carried else problem.e

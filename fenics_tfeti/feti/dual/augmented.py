@@ -15,8 +15,10 @@ import numpy as np
 
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, first_iterate
+from fenics_tfeti.feti.dual.pcpg import first_iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import (
     ProportioningOptions,
@@ -86,12 +88,9 @@ def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> SMALBEStat
         return start.smalbe
     x, on_face = start.multipliers - problem.feasible, start.on_face
     if on_face is None and problem.space.norm(start.multipliers) > 0.0:
-        contact_state = ContactState.of(problem, start.multipliers, start.active)
-        projector = Projector.build(
-            problem.coarse_space, contact_state.active, contact_state.sticking
-        )
-        face = Face.build(problem, contact_state, projector)
-        on_face = first_iterate(problem, face, start.multipliers, turn.products)
+        face = problem.face_of(start.multipliers, start.active)
+        operators = FaceOperators.build(problem, Projector.build(problem.coarse_space, face))
+        on_face = first_iterate(problem, operators, start.multipliers, turn.products)
     q = np.zeros_like(x) if on_face is None else problem.projector.Q(on_face.gradient)
     return SMALBEState(x, q)
 
@@ -135,10 +134,11 @@ def _augmented_preconditioner(
         return None
 
     def apply(x: Vector, on_bounds: Numbers) -> Vector:
-        free = np.ones(x.size, dtype=bool)
-        free[on_bounds] = False
+        rows = np.ones(x.size, dtype=bool)
+        rows[on_bounds] = False
+        free = Face.of_rows(problem.constraints, rows)
         part, Qx = projector.part_of_Q(x)
-        y = projector.part_of_P(preconditioner.on_face(free)(x - Qx))
+        y = projector.part_of_P(preconditioner.on(free)(x - Qx))
         z = problem.constraints.layout.sum(problem.norm * y + part / rho)
         return z + preconditioner.kernel_part(x, free)
 

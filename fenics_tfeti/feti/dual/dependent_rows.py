@@ -15,35 +15,32 @@ from dataclasses import replace
 import numpy as np
 
 from fenics_tfeti.feti.constraints.coupling import Coupling
-from fenics_tfeti.feti.dual.pcpg import ContactState
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Numbers, Vector
 
 
-def closable(
-    problem: DualProblem, contact_state: ContactState, multipliers: Vector
-) -> ContactState | None:
-    """Return a set without the rows and sites that cannot be closed together with the others.
+def closable(problem: DualProblem, face: Face, multipliers: Vector) -> Face | None:
+    """Return a face without the rows and sites that cannot be closed together with the others.
 
-    The friction forces of the set are those of all sites; in the subset, sites that slip now have
-    theirs at the bound. Negative contact forces count as zero. None if all of the set can be
-    closed. Collective.
+    Friction forces are those of the face; sites that slip from now on have theirs at the bound.
+    Negative contact forces count as zero. None if all of its rows can be closed. Collective.
     """
     constraints, coupling = problem.constraints, problem.constraints.coupling
     if not coupling.groups:
         return None
     friction, size = constraints.friction, multipliers.size
     forces = np.maximum(multipliers, 0.0)
-    forces[friction.flat] = contact_state.forces[friction.flat]
+    forces[friction.flat] = face.forces[friction.flat]
     of_site = (
         friction.numbers(constraints.layout),
         np.linalg.norm(friction.at_sites(forces), axis=1),
         problem.radius,
     )
     on_tangents = [friction.spread(values, size) for values in of_site]
-    on_face = constraints.face(contact_state.active, contact_state.sticking).astype(float)
+    on_face = face.rows.astype(float)
     coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
     before = coupled.on_face.copy()
     for cluster in coupling.clusters:
@@ -52,16 +49,14 @@ def closable(
     if not removed.any():
         return None
     here, position = coupling.rows, coupling.positions
-    gone, moved = np.zeros(size, dtype=bool), contact_state.forces.copy()
+    gone, moved = np.zeros(size, dtype=bool), face.forces.copy()
     gone[here] = removed[position]
     tangential = here[coupling.tangential[position]]
     moved[tangential] = coupled.force[position[coupling.tangential[position]]]
-    return replace(
-        contact_state,
-        active=contact_state.active & ~gone[constraints.inequality],
-        sticking=contact_state.sticking & ~friction.within(gone),
-        forces=np.where(gone, moved, contact_state.forces),
+    left = face.with_rows(
+        face.active & ~gone[constraints.inequality], face.sticking & ~friction.within(gone)
     )
+    return replace(left, forces=np.where(gone, moved, face.forces))
 
 
 class _CoupledRows:

@@ -21,7 +21,7 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
@@ -73,14 +73,10 @@ class DirectFaces:
         patience = _STEPS * number ** (1 / 3) if unknowns <= _MOST else np.inf
         return DirectFaces(F, own, unit, package, patience)
 
-    def on_face(self, projector: Projector, curvature: Vector, compliance: float) -> Operator:
-        """Return x -> this rank's part of the inverse of F + C, x zero off the face. Collective.
-
-        `curvature` (k,) of forces that turn and the `compliance` of rows with bounds are those of
-        C.
-        """
+    def on(self, face: Face) -> Operator:
+        """Return x -> this rank's part of the inverse of F + C, x zero off the face. Collective."""
         joined = self._join()
-        C, D = joined.face(projector, curvature, compliance)
+        C, D = joined.combinations(face)
         D += _COMPLIANCE / self.unit
         if self._last is None or not _equal(self._last[:2], (C, D)):
             self._last = C, D, self._inverse(joined, C, D)
@@ -147,22 +143,17 @@ class _Joined:
         """Return the rows that this rank owns, in a vector (m,)."""
         return self.constraints.layout.owned_part(whole[self.positions])
 
-    def face(
-        self, projector: Projector, curvature: Vector, compliance: float
-    ) -> tuple[sp.csr_matrix, Vector]:
-        """Return the orthonormal combinations (f, r) of rows on a face, and C of each. Collective.
-
-        They are rows, and the combinations across the forces of sites that slip.
-        """
-        constraints, size = self.constraints, self.constraints.size
-        friction, layout = constraints.friction, constraints.layout
-        chosen = np.flatnonzero(projector.rows[: layout.owned])
-        combinations = [sp.identity(size, format="csr")[chosen]]
-        compliances = [np.where(constraints.equality[chosen], 0.0, compliance)]
-        if projector.across is not None:
-            turning = constraints.owned_sites & projector.across.any(axis=1)
-            combinations.append(friction.combined(projector.across, size)[np.flatnonzero(turning)])
-            compliances.append(compliance + curvature[turning])
+    def combinations(self, face: Face) -> tuple[sp.csr_matrix, Vector]:
+        """Return E (f, r) of a face, and C of each of its combinations. Collective."""
+        constraints, layout = self.constraints, self.constraints.layout
+        chosen = np.flatnonzero(face.rows[: layout.owned])
+        combinations = [sp.identity(constraints.size, format="csr")[chosen]]
+        compliances = [np.where(constraints.equality[chosen], 0.0, face.compliance)]
+        combined = face.combinations()
+        if combined is not None:
+            turning = constraints.owned_sites & face.turning
+            combinations.append(combined[np.flatnonzero(turning)])
+            compliances.append(face.compliance + face.curvature[turning])
         entries = sp.vstack(combinations).tocoo()
         shape = entries.shape[0], self.B.shape[0]
         part = sp.csr_matrix((entries.data, (entries.row, self.positions[entries.col])), shape)

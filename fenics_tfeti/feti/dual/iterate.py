@@ -114,7 +114,7 @@ class Iterate:
 
         Rounding has added up in the recurrences of its residual.
         """
-        active = self.active if self.on_face is None else self.on_face.contact_state.active
+        active = self.active if self.on_face is None else self.on_face.face.active
         return replace(self, on_face=None, gradients=None, active=active, slips=slips)
 
 

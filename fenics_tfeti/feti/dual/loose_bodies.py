@@ -10,20 +10,19 @@ sum's gradient with respect to them vanishes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import projected_newton
-from fenics_tfeti.typing import Mask, Numbers, Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 # rows of a product that are formed at once
 _AT_ONCE = 10_000
@@ -31,45 +30,28 @@ _AT_ONCE = 10_000
 
 @dataclass(frozen=True)
 class LooseBodies:
-    """Motions that rows leave free, and the contact rows that they move."""
+    """Motions that a face leaves free, and the contact rows that they move."""
 
     coarse_space: CoarseSpace  # G
+    face: Face
     motions: sp.csr_matrix  # (modes * bodies, k): basis of the free motions, see `BodyMotions`
     rows: Numbers  # (r,): contact rows that this rank owns and that the motions move
     # (r, modes * bodies): closing of the rows by each motion of a body that moves
     closing: sp.csr_matrix
-    held: Callable[[Vector], Vector]  # y -> its part on the rows that leave the motions free
 
     @staticmethod
-    def on_face(projector: Projector) -> LooseBodies | None:
-        """Return those of a face; None if it leaves no motion free."""
-        return LooseBodies._of(
-            projector.coarse_space, projector.free_bodies, projector.rows, projector.on_rows
-        )
-
-    @staticmethod
-    def without(coarse_space: CoarseSpace, rows: Mask) -> LooseBodies | None:
-        """Return those that rows (m,) leave loose; None if no motion is free. Collective."""
-        free = coarse_space.weakly_resisted(rows)[0]
-        return LooseBodies._of(coarse_space, free, rows, lambda y: np.where(rows, y, 0.0))
-
-    @staticmethod
-    def _of(
-        coarse_space: CoarseSpace,
-        motions: sp.csr_matrix,
-        rows: Mask,
-        held: Callable[[Vector], Vector],
-    ) -> LooseBodies | None:
+    def of(coarse_space: CoarseSpace, face: Face, motions: sp.csr_matrix) -> LooseBodies | None:
+        """Return those of a face with its free motions (modes * bodies, k); None without any."""
         if not motions.shape[1]:
             return None
         constraints = coarse_space.constraints
         owned = constraints.owned_contact_rows
-        off = owned[~rows[owned]]
+        off = owned[~face.rows[owned]]
         rows_moved = coarse_space.bodies.moved[off] @ _moving(motions)
         # rows of unit length that a motion of size 1 does not move have traces of it
         moved = _largest_of_rows(rows_moved, motions) > rounding(1.0, MANY)
         closing = sp.diags(constraints.lengths_of_rows()[off[moved]]) @ rows_moved[moved]
-        return LooseBodies(coarse_space, motions, off[moved], closing.tocsr(), held)
+        return LooseBodies(coarse_space, face, motions, off[moved], closing.tocsr())
 
     def motion(self, gap: Vector) -> Vector:
         """Return the free motion with the least penetration of gaps (m,). Collective."""
@@ -86,7 +68,7 @@ class LooseBodies:
         # bitwise the same on all holders of a row
         layout = coarse_space.constraints.layout
         moved = layout.sum(layout.owned_part(coarse_space.moved_rows(self.motions @ z)))
-        moved -= self.held(moved)
+        moved -= self.face.part(moved)
         moved[coarse_space.constraints.equality] = 0.0
         moved_gradient: Vector = gradient - moved
         # bodies that find their position touch others without pressing on them

@@ -19,6 +19,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.coupling import GramInverse, null_space
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.direct_faces import DirectFaces
@@ -44,6 +45,7 @@ class Preconditioner:
     # x -> this rank's part of B D^{-1} S D^{-1} B'x, see `interface_operator`
     apply: Callable[[Vector], Vector]
     constraints: Constraints
+    unit: float  # stiffness that a weight of 1 stands for [N/m]
     scaling: DeluxeScaling | None = None  # of stiff modes, which `apply` has too
     direct: DirectFaces | None = None  # for faces that converge slowly; None where K is indefinite
     # whether faces are solved directly: conjugate gradients were slow on one, now or before
@@ -53,11 +55,22 @@ class Preconditioner:
         """Return that of one solve, in which faces are solved directly from the start, or not."""
         return replace(self, is_direct=is_direct and self.direct is not None)
 
-    def on_face(self, rows: Mask) -> Callable[[Vector], Vector]:
-        """Return x -> this rank's part of B_D S B_D'x, x zero off the face. Collective.
+    def on(self, face: Face) -> Operator:
+        """Return x -> this rank's part of Mx, x zero off the face. Collective.
 
-        For the mask `rows` (m,) of the face see `Constraints.face`.
+        M is B_D S B_D', scaled where forces turn, and the inverse of C on what B_D S B_D' does not
+        see.
         """
+        precondition = self._of_rows(face.touched)
+        if face.tangents is not None:
+            precondition = _scaled(precondition, face, self.unit)
+        kernel = self.on_kernel(face)
+        if kernel is None:
+            return precondition
+        return lambda x: precondition(x) + kernel(x)
+
+    def _of_rows(self, rows: Mask) -> Operator:
+        """Return x -> this rank's part of B_D S B_D'x of some rows (m,). Collective."""
         coupling = self.constraints.coupling
         if not coupling.numbers.size and self.scaling is None:
             return self.apply
@@ -87,40 +100,36 @@ class Preconditioner:
         layout = self.constraints.layout
         return lambda x: layout.owned_part(close(layout.sum(self.apply(close(x)))))
 
-    def kernel_part(self, x: Vector, rows: Mask) -> Vector | float:
+    def kernel_part(self, x: Vector, face: Face) -> Vector | float:
         """Return the part of x that the preconditioner of a face takes to zero. Collective.
 
-        It is that in the kernel of W_RR, along which the face has neither forces nor energy; `rows`
-        (m,) is the mask of the face.
+        It is that in the kernel of W_RR, along which the face has neither forces nor energy.
         """
         coupling = self.constraints.coupling
         if not coupling.groups:
             return 0.0
-        null = self._inverse_of(rows).null
+        null = self._inverse_of(face.rows).null
         part = np.zeros_like(x)
         part[coupling.rows] = (null @ (null.T @ coupling.gather(x)[0]))[coupling.positions]
         return part
 
-    def on_kernel(
-        self, rows: Mask, tangent: Vector | None, curvature: Vector, compliance: float
-    ) -> Callable[[Vector], Vector] | None:
+    def on_kernel(self, face: Face) -> Operator | None:
         """Return x -> this rank's part of N (N'CN)^+ N'x. Collective.
 
         N are the combinations of rows of a face that vanish, B'N = o: neither F nor B_D S B_D' sees
-        them, but the curvature C does: `curvature` (k,) of forces that turn along `tangent` (k, 2),
-        zero at other sites, and `compliance` of all rows by a proximal term. `rows` (m,) are those
-        of the face, and all of sites whose force turns. None if C does not see N, on all ranks.
+        them, but C does. None if C does not see N, on all ranks.
         """
         coupling = self.constraints.coupling
-        if not coupling.groups or (tangent is None and not compliance):
+        if not coupling.groups or (face.tangents is None and not face.compliance):
             return None
-        kernel = self._inverse_of(rows).null.toarray()
+        kernel = self._inverse_of(face.touched).null.toarray()
         if not kernel.shape[1]:
             return None
-        hessian = compliance * np.identity(kernel.shape[1])
-        if tangent is not None:
-            kernel, turned, curvature = self._turning(kernel, tangent, curvature)
-            hessian = compliance * np.identity(kernel.shape[1]) + turned.T @ (curvature * turned)
+        hessian = face.compliance * np.identity(kernel.shape[1])
+        if face.tangents is not None:
+            kernel, turned, curvature = self._turning(kernel, face.tangents, face.curvature)
+            hessian = face.compliance * np.identity(kernel.shape[1])
+            hessian += turned.T @ (curvature * turned)
         if not hessian.any():
             return None
         inverse = np.linalg.pinv(hessian, rcond=ZERO, hermitian=True)
@@ -161,6 +170,23 @@ class Preconditioner:
         """Factor W_RR of rows (m,). Collective."""
         coupling = self.constraints.coupling
         return coupling.inverse(coupling.gather(rows.astype(float))[0] > 0.0)
+
+
+def _scaled(apply: Operator, face: Face, unit: float) -> Operator:
+    """Return the preconditioner with forces that turn scaled for their curvature.
+
+    Where F has an inverse m, which is about the unit of stiffness for rows of length 1, the inverse
+    of F + curvature is m / (1 + curvature m).
+    """
+    friction, tangents = face.constraints.friction, face.tangents
+    assert tangents is not None
+    less = 1.0 - 1.0 / np.sqrt(1.0 + unit * face.curvature)
+
+    def scale(x: Vector) -> Vector:
+        size = less * np.sum(friction.at_sites(x) * tangents, axis=1)
+        return x - friction.spread(size[:, None] * tangents, x.size)
+
+    return lambda x: scale(apply(scale(x)))
 
 
 def _without_rounding(x: Vector) -> Vector:

@@ -9,12 +9,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
-from fenics_tfeti.qp import ProductSet, Space
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.qp import ProductSet, Space, balls
+from fenics_tfeti.typing import Mask, Vector
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,28 @@ class DualProblem:
     def constraints(self) -> Constraints:
         """B."""
         return self.projector.coarse_space.constraints
+
+    def face_of(
+        self, multipliers: Vector, active: Mask | None = None, slips: Vector | None = None
+    ) -> Face:
+        """Return the face of multipliers (m,), with forces of sites that slip at the bound.
+
+        Contact rows (i,) that are active have a force by default. Without `slips` (k, gdim - 1) the
+        cost has no curvature.
+        """
+        constraints = self.constraints
+        friction = constraints.friction
+        if active is None:
+            active = multipliers[constraints.inequality] > 0.0
+        forces = self.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
+        forces = friction.at_bound(forces, self.radius)
+        at_sites = friction.at_sites(forces)
+        sticking = balls.inside(at_sites, self.radius)
+        curvature = np.zeros(friction.size)
+        if slips is not None:
+            slipping = np.where(sticking, 0.0, 1.0)
+            curvature = slipping * balls.curvature(at_sites, slips, self.radius)
+        return Face.of(constraints, active, sticking, forces, curvature)
 
     def multiplier_set(self, shift: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, without regard to Gl = e."""

@@ -25,6 +25,7 @@ import numpy as np
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.coarse.exact_projection import ExactProjection, GramMetric
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.iterate import (
     ActiveSetStep,
     GradientState,
@@ -210,7 +211,7 @@ def _of_glued_rows(problem: DualProblem, turn: Turn) -> Callable[[Vector], Vecto
     layout, glued = problem.constraints.layout, problem.constraints.equality
     if problem.preconditioner is None or not any_rank(layout.comm, glued):
         return None
-    on_face = problem.preconditioner.on_face(glued)
+    on_face = problem.preconditioner.on(Face.supports(problem.constraints))
 
     def apply(x: Vector) -> Vector:
         turn.products.preconditioner += 1

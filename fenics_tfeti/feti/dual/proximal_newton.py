@@ -27,22 +27,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_tfeti.feti import interruption
+from fenics_tfeti.feti.constraints.face import Face, Proximal
 from fenics_tfeti.feti.dual.active_set import (
     close_first_gaps,
     iterate_on_face,
     primal_dual_active_set,
     unused_friction,
 )
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
-from fenics_tfeti.feti.dual.pcpg import (
-    ContactState,
-    Face,
-    PCPGIterate,
-    Proximal,
-    first_iterate,
-    iterate_on,
-    pcpg,
-)
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate, first_iterate, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Vector
@@ -68,7 +62,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
     """
     bounds = _Bounds(problem)
     state = _first_state(problem, start, turn)
-    term = state.contact_state.proximal
+    term = state.face.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
     while True:
@@ -107,11 +101,11 @@ def _solve_proximal(
     while True:
         # a step that fails may have been too inaccurate
         error = bounds.error(term, state) * 0.5**failures
-        contact_state = bounds.linear_part(term, state)
-        face = close_first_gaps(problem, contact_state, state.gradient)
+        linear_part = bounds.linear_part(term, state)
+        operators = close_first_gaps(problem, linear_part, state.gradient)
         following = pcpg(
             problem,
-            face,
+            operators,
             state,
             tolerance=_ENERGY * error / np.sqrt(term.stiffness),
             sign_factor=0.0,
@@ -119,15 +113,15 @@ def _solve_proximal(
             products=turn.products,
             accurate=_RESIDUAL * error / term.stiffness,
         )
-        state = _on_the_way(problem, face, bounds, term, state, following, turn.products)
+        state = _on_the_way(problem, operators, bounds, term, state, following, turn.products)
         wanted, error = bounds.wanted(term, state), bounds.error(term, state)
-        following_set = bounds.linear_part(term, state)
-        turn.monitor(_step(problem, contact_state, following_set, state, turn.products))
-        unused = unused_friction(problem, face, replace(state, multipliers=wanted))
+        following_part = bounds.linear_part(term, state)
+        turn.monitor(_step(problem, linear_part, following_part, state, turn.products))
+        unused = unused_friction(problem, operators.face, replace(state, multipliers=wanted))
         residuals = (state.energy, error / np.sqrt(term.stiffness), unused)
         solved = all(residual <= turn.tolerance for residual in residuals)
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
-        state = replace(state, contact_state=replace(face.contact_state, proximal=term))
+        state = replace(state, face=replace(operators.face, proximal=term))
         if solved:
             return state, SolveStatus.SOLVED
         if turn.is_spent or failures > _PATIENCE or interruption.agreed():
@@ -141,7 +135,7 @@ def _iterate(
 ) -> Iterate:
     """Return the iterate with multipliers P(l_k + rho v), on the face without the proximal term."""
     iterate = iterate_on_face(problem, start, replace(state, multipliers=wanted), status)
-    on_face = replace(state, contact_state=replace(state.contact_state, proximal=None))
+    on_face = replace(state, face=replace(state.face, proximal=None))
     return replace(iterate, method=Method.NEWTON, on_face=on_face, newton=state)
 
 
@@ -167,7 +161,7 @@ class _Bounds:
 
     def forces(self, term: Proximal, state: PCPGIterate) -> Vector:
         """Return P(l_k + rho v)."""
-        return self.project(term.wanted(state.gradient))
+        return self.project(term.forces(state.gradient))
 
     def wanted(self, term: Proximal, state: PCPGIterate) -> Vector:
         """Return the multipliers with P(l_k + rho v) on these rows."""
@@ -178,23 +172,24 @@ class _Bounds:
         """Return the norm of P(l_k + rho v) - l, the residual of the proximal problem [N]."""
         return self.norm(self.forces(term, state) - state.multipliers)
 
-    def linear_part(self, term: Proximal, state: PCPGIterate) -> ContactState:
+    def linear_part(self, term: Proximal, state: PCPGIterate) -> Face:
         """Return the face that is the linear part of P at l_k + rho v."""
         constraints, radius = self.problem.constraints, self.problem.radius
-        friction, unbounded = constraints.friction, term.wanted(state.gradient)
+        friction, unbounded = constraints.friction, term.forces(state.gradient)
         length = np.linalg.norm(friction.at_sites(unbounded), axis=1)
         slipping = length >= radius
         curvature = np.zeros_like(radius)
         turning = slipping & (radius > 0.0)
         np.divide(length, radius * term.stiffness, out=curvature, where=turning)
         active = unbounded[constraints.inequality] > 0.0
-        return ContactState(active, ~slipping, self.project(unbounded), curvature, term)
+        forces = self.project(unbounded)
+        return replace(Face.of(constraints, active, ~slipping, forces, curvature), proximal=term)
 
     def slope(self, term: Proximal, state: PCPGIterate, following: PCPGIterate, t: float) -> float:
         """Return the slope of the cost on the way from one state to another. Collective."""
         change = state.gradient - following.gradient
         l = state.multipliers + t * (following.multipliers - state.multipliers)
-        forces = self.project(term.wanted(state.gradient - t * change))
+        forces = self.project(term.forces(state.gradient - t * change))
         return float(self.problem.space.dots((self.chosen(change), forces - l))[0])
 
 
@@ -203,11 +198,10 @@ def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> PCPGIterat
     known = start.newton or start.on_face
     if known is not None:
         return known
-    contact_state = ContactState.of(problem, start.multipliers, start.active, start.slips)
-    face = close_first_gaps(problem, contact_state, problem.c)
+    face = problem.face_of(start.multipliers, start.active, start.slips)
     return pcpg(
         problem,
-        face,
+        close_first_gaps(problem, face, problem.c),
         start.multipliers,
         tolerance=0.0,
         sign_factor=1.0,
@@ -218,7 +212,7 @@ def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> PCPGIterat
 
 def _on_the_way(
     problem: DualProblem,
-    face: Face,
+    operators: FaceOperators,
     bounds: _Bounds,
     term: Proximal,
     state: PCPGIterate,
@@ -227,8 +221,8 @@ def _on_the_way(
 ) -> PCPGIterate:
     """Return the state of least cost on the way to the following one, or that. Collective."""
     # forces that turn have no residual where the slip is along them
-    none = np.zeros_like(face.contact_state.curvature)
-    plain = replace(face, contact_state=replace(face.contact_state, proximal=None, curvature=none))
+    face, none = operators.face, np.zeros_like(operators.face.curvature)
+    plain = operators.with_terms(replace(face, proximal=None, curvature=none))
     t = _root(lambda t: bounds.slope(term, state, following, t))
     if t == 0.0:
         # no way down: rounding of larger multipliers before has added up in the gradient
@@ -257,8 +251,8 @@ def _root(slope: Callable[[float], float]) -> float:
 
 def _step(
     problem: DualProblem,
-    before: ContactState,
-    after: ContactState,
+    before: Face,
+    after: Face,
     state: PCPGIterate,
     products: Products,
 ) -> ActiveSetStep:

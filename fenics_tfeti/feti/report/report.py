@@ -20,6 +20,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import first_few, format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.factors.cholesky import describe_package
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -292,7 +293,7 @@ def build_report(
         peak_memory_bytes=peak_memory(comm),
         energy=candidate.energy,
         **vars(sums),
-        free_motions=_described(system, setup, candidate.face.free),
+        free_motions=_described(system, setup, candidate.projector.free),
         weak_motions=_weak_motions(system, setup, candidate),
         certificate=candidate.certificate,
         dual_tolerance=outcome.tolerance,
@@ -349,9 +350,10 @@ def _described(
 def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) -> list[str]:
     """Describe the motions that active rows resist weakly, and by which contacts. Collective."""
     constraints, coarse_space = setup.constraints, setup.projector.coarse_space
-    _, weak = coarse_space.weakly_resisted(candidate.face.rows, FACETED)
+    rows = candidate.projector.face.rows
+    _, weak = coarse_space.weakly_resisted(Face.of_rows(constraints, rows), FACETED)
     owned = constraints.owned_contact_rows
-    contact, active = constraints.contacts.contact[: owned.size], candidate.face.rows[owned]
+    contact, active = constraints.contacts.contact[: owned.size], rows[owned]
     number = count_over_ranks(coarse_space.comm, contact)
     descriptions = []
     for z in weak.T.tocsr():

@@ -22,16 +22,11 @@ import numpy as np
 
 from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.feti.coarse.projector import Projector
-from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import raise_unresisted
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints, SurfaceRows
-from fenics_tfeti.feti.dual.pcpg import (
-    ContactState,
-    Face,
-    first_iterate,
-    iterate_on,
-    pcpg,
-)
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
+from fenics_tfeti.feti.dual.pcpg import first_iterate, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.options import Options
 from fenics_tfeti.feti.solution.scale import ROUGH_LANCZOS_STEPS
@@ -74,7 +69,7 @@ class LinearProblem:
     system: TornSystem
     setup: DualSetup
     candidate: Candidate
-    face: Face
+    operators: FaceOperators  # of the face
     dual: DualProblem  # without data
     options: Options
     shares: Vector  # (sites given,): part of the force of each site that this contact has
@@ -105,20 +100,21 @@ class LinearProblem:
             none,
             1.0,
         )
-        face = Face.build(dual, *_on_face(constraints, candidate, coarse_space))
-        return LinearProblem(system, setup, candidate, face, dual, options, shares)
+        projector = Projector.build(coarse_space, _face_of(constraints, candidate))
+        operators = FaceOperators.build(dual, projector)
+        return LinearProblem(system, setup, candidate, operators, dual, options, shares)
 
     @property
     def active(self) -> Mask:
         """The contact rows on the face, (contact rows,)."""
         held = self.setup.constraints.held.own_rows >= 0
-        return held | np.append(self.face.projector.rows, False)[self._contacts.own_rows]
+        return held | np.append(self.operators.face.rows, False)[self._contacts.own_rows]
 
     @property
     def sticking(self) -> Mask:
         """The sites on the face, (sites,)."""
         friction = self.setup.constraints.friction
-        on_face = friction.within(self.face.projector.rows)
+        on_face = self.operators.face.sticking
         return friction.given(on_face.astype(float)) > 0.0
 
     def kinks(self) -> tuple[Mask, Mask]:
@@ -195,14 +191,14 @@ class LinearProblem:
         constraints = self.setup.constraints
         c = self._of_surfaces(jumps, lambda rows: rows.share * _own_scale(rows))
         c += self._of_sites(self.shares[:, None] * jumps.tangential, constraints.friction.scale)
-        return self.face.projector.on_rows(c)
+        return self.operators.face.part(c)
 
     def _fixed_multipliers(self, forces: RowValues) -> Vector:
         """Return multipliers (m,) off the face with the forces. Collective."""
         scale = self.setup.constraints.friction.scale
         fixed = self._of_surfaces(forces, lambda rows: np.sign(rows.share) / _own_scale(rows))
         fixed += self._of_sites(forces.tangential, 1.0 / scale)
-        return fixed - self.face.projector.on_rows(fixed)
+        return fixed - self.operators.face.part(fixed)
 
     def _of_surfaces(self, values: RowValues, factor: Callable[[SurfaceRows], Vector]) -> Vector:
         """Return sums (m,) of values times factors at contact and tied rows. Collective."""
@@ -254,7 +250,7 @@ class LinearProblem:
     def _check(self, data: LinearData) -> None:
         """Raise if the face does not hold the load. Collective."""
         projector, load = (
-            self.face.projector,
+            self.operators.projector,
             self._load(data, self._fixed_multipliers(data.forces)),
         )
         coarse_space = projector.coarse_space
@@ -267,21 +263,21 @@ class LinearProblem:
 
     def _with_data(self, load: Vector, c: Vector) -> tuple[DualProblem, Vector]:
         """Return the dual problem and d without deflation."""
-        setup, coarse_space = self.setup, self.face.projector.coarse_space
+        setup, coarse_space = self.setup, self.operators.projector.coarse_space
         e, size = coarse_space.coarse_load(load), coarse_space.coarse_load_size(load)
         d = setup.F.load(load, c)
         return replace(self.dual, d=setup.reduced(d), e=e, e_size=size, c=c), d
 
     def _minimise(self, dual: DualProblem, rtol: float) -> tuple[Vector, int, float]:
         """Return multipliers, products with F, and the residual that is left."""
-        face, none, products = self.face, np.zeros_like(dual.c), Products()
-        first = first_iterate(dual, face, none, products)
-        first = iterate_on(dual, face, first.multipliers, first.gradient, (), products)
+        operators, none, products = self.operators, np.zeros_like(dual.c), Products()
+        first = first_iterate(dual, operators, none, products)
+        first = iterate_on(dual, operators, first.multipliers, first.gradient, (), products)
         scale = first.energy
         limit = self.options.max_products
         last = pcpg(
             dual,
-            face,
+            operators,
             first,
             tolerance=rtol * scale,
             sign_factor=0.0,
@@ -292,25 +288,26 @@ class LinearProblem:
         residual = last.energy / scale if scale > 0.0 else 0.0
         if last.at_limit:
             # of a rigid motion the projection leaves rounding from the first residual
-            given = float(np.sqrt(dual.space.dots((face.projector.on_rows(dual.d),) * 2)[0]))
+            given = float(np.sqrt(dual.space.dots((operators.face.part(dual.d),) * 2)[0]))
             residual = min(residual, last.residual / given)
         return last.multipliers, products.total, residual
 
     def _recovered(self, load: Vector, c: Vector, multipliers: Vector) -> Vector:
         """Return the nearest displacement that is glued and fulfils the rows of the face."""
-        F, projector, constraints = self.setup.F, self.face.projector, self.setup.constraints
+        F, projector, constraints = self.setup.F, self.operators.projector, self.setup.constraints
+        rows = projector.face.rows
         coarse_space = projector.coarse_space
         forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
         strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
-        wanted = c + self.face.curvature_gradient(multipliers)
+        wanted = c + self.operators.face.curved(multipliers)
         torn = strained + coarse_space.rigid_motion(
             projector.coefficients(wanted - F.jumps(strained))
         )
         jump = F.jumps(torn) - c
-        correction = np.where(projector.rows, jump, 0.0)
+        correction = np.where(rows, jump, 0.0)
         coupling = constraints.coupling
         if coupling.numbers.size:
-            jumps, on_face = coupling.gather(jump, projector.rows.astype(float))
+            jumps, on_face = coupling.gather(jump, rows.astype(float))
             closed = coupling.inverse(on_face > 0.0).solve(jumps)
             correction[coupling.rows] = closed[coupling.positions]
         u: Vector = torn - F.constraint_forces(correction) / constraints.weights
@@ -324,9 +321,7 @@ def _own_scale(rows: SurfaceRows) -> Vector:
     return scale[rows.own_rows]
 
 
-def _on_face(
-    constraints: Constraints, candidate: Candidate, coarse_space: CoarseSpace
-) -> tuple[ContactState, Projector]:
+def _face_of(constraints: Constraints, candidate: Candidate) -> Face:
     """Return the face of a candidate, without rows whose force is rounding. Collective.
 
     A row that touches without a force is where the solution has a kink: rounding would decide.
@@ -339,6 +334,6 @@ def _on_face(
     sticking = balls.inside(forces, candidate.radius)
     curvature = balls.curvature(forces, candidate.slips, candidate.radius)
     curvature = np.where(sticking, 0.0, curvature)
-    across = friction.across(multipliers, sticking)
-    state = ContactState(active, sticking, np.zeros_like(multipliers), curvature)
-    return state, Projector.build(coarse_space, active, sticking, across)
+    face = Face.of(constraints, active, sticking, multipliers, curvature).with_turning_forces()
+    # of changes: what is fixed does not change
+    return replace(face, forces=np.zeros_like(multipliers))

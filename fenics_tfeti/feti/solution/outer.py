@@ -28,6 +28,7 @@ from fenics_tfeti.feti.coarse.prescribed_motion import (
     without_motion,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
@@ -123,7 +124,7 @@ def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate
     """Return a candidate with rigid motions (coarse,) added to its displacements. Collective."""
     if not motion.any():
         return candidate
-    recovered, coarse_space = candidate.recovered, candidate.face.coarse_space
+    recovered, coarse_space = candidate.recovered, candidate.projector.coarse_space
     comm, motion = coarse_space.comm, coarse_space.rigid_motion(motion)
     moved = replace(
         recovered, torn=recovered.torn + motion, displacement=recovered.displacement + motion
@@ -263,9 +264,10 @@ class _Loop:
         with self.context.timer.phase("recovery"):
             forces = setup.constraints.friction.at_sites(multipliers)
             sticking = balls.inside(forces, data.radius)
-            face = Projector.build(setup.projector.coarse_space, active, sticking)
+            face = Face.of(setup.constraints, active, sticking)
+            projector = Projector.build(setup.projector.coarse_space, face)
             recovered = Recovered(none, none, none, -data.c, active, sticking)
-            candidate = self._certified(recovered, multipliers, face)
+            candidate = self._certified(recovered, multipliers, projector)
         return Outcome(candidate, Iterate(multipliers), SolveStatus.SOLVED, "converged", 0.0)
 
     def first(self, start: Iterate | None) -> Iterate:
@@ -355,15 +357,17 @@ class _Loop:
         multipliers = constraints.friction.at_bound(multipliers, data.radius)
         with self.context.timer.phase("recovery"):
             coarse_space = setup.projector.coarse_space
-            multipliers, face = balance_multipliers(coarse_space, data.e, multipliers, data.radius)
+            multipliers, projector = balance_multipliers(
+                coarse_space, data.e, multipliers, data.radius
+            )
             # F makes jumps of what the balance has added, large ones in the deflated directions
             multipliers = without_unloaded_groups(
                 constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
             )
             recovered = recover_displacement(
-                setup.F, face, data.load, data.c, multipliers, setup.local.unit, data.motion
+                setup.F, projector, data.load, data.c, multipliers, setup.local.unit, data.motion
             )
-            return self._certified(recovered, multipliers, face)
+            return self._certified(recovered, multipliers, projector)
 
     def _with_radius(self, radius: Vector) -> _Loop:
         """Return the loop with other slip bounds."""
@@ -371,11 +375,13 @@ class _Loop:
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         return replace(self, context=context, primal=primal)
 
-    def _certified(self, recovered: Recovered, multipliers: Vector, face: Projector) -> Candidate:
+    def _certified(
+        self, recovered: Recovered, multipliers: Vector, projector: Projector
+    ) -> Candidate:
         """Measure how well displacements and multipliers solve (11.21)."""
-        certificate, energy = self.primal.certify(recovered, multipliers, face)
+        certificate, energy = self.primal.certify(recovered, multipliers, projector.coarse_space)
         slips, radius = self.primal.slips(recovered), self.context.data.radius
-        return Candidate(recovered, multipliers, certificate, energy, face, slips, radius)
+        return Candidate(recovered, multipliers, certificate, energy, projector, slips, radius)
 
     def _completed(self, multipliers: Vector) -> Vector:
         """Return the multipliers with their part in the deflated directions."""

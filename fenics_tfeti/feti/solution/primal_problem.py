@@ -9,7 +9,6 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
@@ -62,16 +61,16 @@ class PrimalProblem:
     body_names: Sequence[str]
 
     def certify(
-        self, recovered: Recovered, multipliers: Vector, face: Projector
+        self, recovered: Recovered, multipliers: Vector, coarse_space: CoarseSpace
     ) -> tuple[Certificate, float]:
         """Measure how well displacements and multipliers solve the primal problem. Collective.
 
-        The face is that of the equality rows and the contact rows with a force. The multipliers
-        have lambda_I >= o, and G lambda = e but for motions that the face leaves free. Returned
-        beside the certificate: 1/2 u'Ku - f'u, with friction and the sum of r |s| [J].
+        The multipliers have lambda_I >= o, and G lambda = e but for motions that their face leaves
+        free. Returned beside the certificate: 1/2 u'Ku - f'u, with friction and the sum of r |s|
+        [J].
         """
         sums = self._sums(recovered, multipliers)
-        measures = self._body_measures(sums, recovered, multipliers, face.coarse_space)
+        measures = self._body_measures(sums, recovered, multipliers, coarse_space)
         groups, bodies = self._errors(measures, recovered)
         bound, norm = np.sqrt([measures.error2.sum(), measures.strain2.sum()]).tolist()
         # all strains may be rounding

@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, least_penetration
 from fenics_tfeti.feti.dual.operator import DualOperator
@@ -61,9 +62,9 @@ def balance_multipliers(
     limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
     while True:
         sticking = balls.inside(friction.at_sites(balanced), radius)
-        tangent = friction.across(balanced, sticking)
-        face = Projector.build(coarse_space, balanced[rows] > 0.0, sticking, tangent)
-        corrected = _with_missing_forces(face, e, balanced, radius, sticking)
+        face = Face.of(coarse_space.constraints, balanced[rows] > 0.0, sticking, balanced)
+        projector = Projector.build(coarse_space, face.with_turning_forces())
+        corrected = _with_missing_forces(projector, e, balanced, radius, sticking)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
         sliding = sticking & ~balls.inside(friction.at_sites(limited), radius)
         if space.sums(float(np.count_nonzero(negative) + np.count_nonzero(sliding)))[0]:
@@ -71,37 +72,37 @@ def balance_multipliers(
             balanced[rows[negative]] = 0.0
             slipping = friction.on_rows(sliding, balanced.size)
             balanced[slipping] = limited[slipping]
-        elif tangent is None or turns == _TURNS or _is_balanced(face, e, corrected):
-            return corrected, face
+        elif not friction.curved or turns == _TURNS or _is_balanced(projector, e, corrected):
+            return corrected, projector
         else:
             # Newton's method for forces that turn on circles
             balanced, turns = corrected, turns + 1
 
 
 def _with_missing_forces(
-    face: Projector, e: Vector, multipliers: Vector, radius: Vector, sticking: Mask
+    projector: Projector, e: Vector, multipliers: Vector, radius: Vector, sticking: Mask
 ) -> Vector:
     """Return the multipliers with what is missing of G lambda = e; sites that slip at the bound."""
-    coarse_space = face.coarse_space
+    coarse_space = projector.coarse_space
     friction = coarse_space.constraints.friction
     # the second time for what rounding leaves where contact rows resist much less than others
     for _ in range(2):
         missing = e - coarse_space.restrict(multipliers)
-        multipliers = multipliers + face.least_norm(missing)
+        multipliers = multipliers + projector.least_norm(missing)
         forces = balls.on_boundary(friction.at_sites(multipliers), radius, ~sticking)
         multipliers = friction.with_sites(multipliers, forces)
     return multipliers
 
 
-def _is_balanced(face: Projector, e: Vector, multipliers: Vector) -> bool:
+def _is_balanced(projector: Projector, e: Vector, multipliers: Vector) -> bool:
     """Tell whether G lambda = e up to rounding, but for free motions."""
-    missing = face.without_free_motions(e - face.coarse_space.restrict(multipliers))
+    missing = projector.without_free_motions(e - projector.coarse_space.restrict(multipliers))
     return bool(np.linalg.norm(missing) <= rounding(float(np.linalg.norm(e)), MANY))
 
 
 def recover_displacement(
     F: DualOperator,
-    face: Projector,
+    projector: Projector,
     load: Vector,
     c: Vector,
     multipliers: Vector,
@@ -115,39 +116,39 @@ def recover_displacement(
     that penetrates nothing, together with motions (coarse,) that were removed from c. A weight of 1
     stands for the stiffness `unit` [N/m].
     """
-    coarse_space, rows = face.coarse_space, F.constraints.inequality
+    coarse_space, rows = projector.coarse_space, F.constraints.inequality
     # what rounding leaves in the kernel of K would become a displacement, and the choice of K^+
     # would show in its motions
     forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
     strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
     torn = strained + coarse_space.rigid_motion(
-        _motions(F, face, c, strained, multipliers, removed)
+        _motions(F, projector, c, strained, multipliers, removed)
     )
-    displacement, closed = close_constraints(F, c, torn, face.rows, multipliers, unit)
-    sticking = F.constraints.friction.within(face.rows)
+    displacement, closed = close_constraints(F, c, torn, projector.face.rows, multipliers, unit)
+    sticking = projector.face.sticking
     jumps = F.jumps(displacement) - c
     return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
 
 
 def _motions(
     F: DualOperator,
-    face: Projector,
+    projector: Projector,
     c: Vector,
     strained: Vector,
     multipliers: Vector,
     removed: Vector | None,
 ) -> Vector:
     """Return alpha for a torn displacement without rigid motions: in each of its three parts."""
-    coarse_space = face.coarse_space
-    alpha = face.coefficients(c - F.jumps(strained))
+    coarse_space = projector.coarse_space
+    alpha = projector.coefficients(c - F.jumps(strained))
     # once more for what rounding has left
-    alpha += face.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
-    loose = LooseBodies.on_face(face)
+    alpha += projector.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
+    loose = LooseBodies.of(coarse_space, projector.face, projector.free_bodies)
     if loose is not None:
         if removed is not None:
-            alpha += face.without_free_motions(removed) - removed
+            alpha += projector.without_free_motions(removed) - removed
         gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
-        alpha += _free_motions(face, loose, gap, multipliers)
+        alpha += _free_motions(projector, loose, gap, multipliers)
     return alpha
 
 
@@ -257,16 +258,18 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
         R = R | penetrated
 
 
-def _free_motions(face: Projector, loose: LooseBodies, gap: Vector, multipliers: Vector) -> Vector:
+def _free_motions(
+    projector: Projector, loose: LooseBodies, gap: Vector, multipliers: Vector
+) -> Vector:
     """Return the part of alpha in the free motions, which the other conditions leave.
 
     They penetrate nothing, and sites whose friction is at its bound slip along it: forces that
     balance there leave the place of a body to the slips that the deformation makes.
     """
-    coarse_space, T = face.coarse_space, loose.motions
+    coarse_space, T = projector.coarse_space, loose.motions
     z = loose.motion(gap)
     if coarse_space.constraints.friction.anywhere:
-        backwards, slips = _slips_against_friction(face, -gap, multipliers)
+        backwards, slips = _slips_against_friction(projector, -gap, multipliers)
         against = (backwards @ (T @ z) - slips).max(initial=0.0)
         sizes = np.array([against, np.abs(slips).max(initial=0.0)])
         coarse_space.comm.Allreduce(MPI.IN_PLACE, sizes, MPI.MAX)
@@ -278,17 +281,17 @@ def _free_motions(face: Projector, loose: LooseBodies, gap: Vector, multipliers:
 
 
 def _slips_against_friction(
-    face: Projector, jump: Vector, multipliers: Vector
+    projector: Projector, jump: Vector, multipliers: Vector
 ) -> tuple[sp.csr_matrix, Vector]:
     """Return slip against the force by motions of bodies, and slip along it, where sites may slip.
 
     They are those of the sites that this rank owns, in units of jumps.
     """
-    constraints = face.coarse_space.constraints
+    constraints = projector.coarse_space.constraints
     friction = constraints.friction
     along = balls.directions(friction.at_sites(multipliers))
-    mine = constraints.owned_sites & ~friction.within(face.rows)
+    mine = constraints.owned_sites & ~projector.face.sticking
     sites = np.flatnonzero(mine & along.any(axis=1))
     rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.lengths_of_rows())
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
-    return (-(rows @ face.coarse_space.bodies.moved)).tocsr(), slips
+    return (-(rows @ projector.coarse_space.bodies.moved)).tocsr(), slips

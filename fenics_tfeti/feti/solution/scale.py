@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.tolerances import rounding
@@ -88,8 +89,9 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
     pressing = (data.feasible[rows] > 0.0) & ~shortened
     friction = setup.constraints.friction
     sticking = balls.inside(friction.at_sites(data.feasible), data.radius)
-    face = Projector.build(setup.projector.coarse_space, pressing, sticking)
-    r = face.remove_rigid_motion(layout.owned_part(d), d)[0]
+    face = Face.of(setup.constraints, pressing, sticking)
+    projector = Projector.build(setup.projector.coarse_space, face)
+    r = projector.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
     r[friction.on_rows(~sticking, r.size)] = 0.0
     if setup.preconditioner is None:
@@ -97,6 +99,7 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
             norm = setup.norm(ROUGH_LANCZOS_STEPS)
         return layout.space.dots((r, r))[0] / (norm or 1.0)
     context.monitor.history.products.preconditioner += 1
-    precondition = setup.preconditioner.on_face(setup.constraints.equality | (r != 0.0))
+    rows = setup.constraints.equality | (r != 0.0)
+    precondition = setup.preconditioner.on(Face.of_rows(setup.constraints, rows))
     part = np.array([r @ precondition(r)])
     return float(layout.space.sum_over_ranks(part)[0])

@@ -211,7 +211,7 @@ class DualSetup:
             direct = None
             if not of_all and options.deflation != "off":
                 direct = DirectFaces.build(F, local.stiffness, local.unit, package)
-            preconditioner = Preconditioner(apply, constraints, scaling, direct)
+            preconditioner = Preconditioner(apply, constraints, local.unit, scaling, direct)
         return DualSetup(
             local,
             constraints,

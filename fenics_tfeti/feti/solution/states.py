@@ -37,7 +37,7 @@ class Candidate:
     multipliers: Vector  # (m,) lambda
     certificate: Certificate
     energy: float  # 1/2 u'Ku - f'u, with friction and the sum of r |s| [J]
-    face: Projector  # of equality rows, contact rows with a force and sites that stick
+    projector: Projector  # of the face: contact rows with a force, and sites that stick
     slips: Vector  # (k, gdim - 1) s at the sites of friction, scaled as the rows
     radius: Vector  # (k,) r
 

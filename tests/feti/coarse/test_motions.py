@@ -11,6 +11,7 @@ from fenics_tfeti import UnresistedMotion
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
+from fenics_tfeti.feti.constraints.face import Face
 
 pytestmark = pytest.mark.once
 
@@ -116,7 +117,7 @@ def test_the_projector_is_accurate_however_weak_the_resistance(tilt):
     turn = np.linalg.qr(np.array([[2.0, 1.0, 0.3], [-0.4, 1.5, 1.0], [0.2, -1.0, 2.0]]))[0]
     system = block(turn @ (0, 0, -1.0), valley(tilt, turn))
     coarse_space = TornSolver(system).setup.projector.coarse_space
-    projector = Projector.build(coarse_space, np.ones(9, dtype=bool))
+    projector = Projector.build(coarse_space, Face.whole(coarse_space.constraints))
     # the vector whose error decides on the number of applications
     x = seeded_vector(np.arange(9))
     assert np.linalg.norm(projector.Q(projector.P(x))) < 1e-11 * np.linalg.norm(x)

@@ -15,6 +15,7 @@ from torn import column, cube
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSolver
 from fenics_tfeti.feti.coarse import space
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 
 SOLVER = TornSolver(column())
 SYSTEM = DenseSystem.of(SOLVER)
@@ -32,7 +33,7 @@ def on_face(name: str) -> tuple[Projector, np.ndarray, np.ndarray]:
     active[FACES[name]] = True
     rows = CONSTRAINTS.equality
     rows[CONSTRAINTS.inequality] = active
-    return Projector.build(SPACE, active), rows, SYSTEM.projector(rows)
+    return Projector.build(SPACE, Face.of(CONSTRAINTS, active)), rows, SYSTEM.projector(rows)
 
 
 each_face = pytest.mark.parametrize("face", FACES)
@@ -139,17 +140,18 @@ def test_friction_on_a_face(system, turning, sticking):
     active = rng.random(constraints.inequality.size) < 0.7
     stick = np.arange(friction.size) < sticking * friction.size
     forces = rng.standard_normal(constraints.size)
-    tangent = friction.across(forces, stick) if turning else None
-    S = np.diag(constraints.face(active, stick).astype(float))
+    face = Face.of(constraints, active, stick, forces)
+    S = np.diag(face.rows.astype(float))
     for rows, sticks in zip(friction.rows, stick, strict=True):
         if turning and not sticks:
             t = np.array([-forces[rows[1]], forces[rows[0]]])
             S[np.ix_(rows, rows)] = np.outer(t, t) / (t @ t)
     G = dense.G @ S
     P = S - np.linalg.pinv(G, rcond=1e-10) @ G
-    projector = Projector.build(solver.setup.projector.coarse_space, active, stick, tangent)
+    face = face.with_turning_forces() if turning else face
+    projector = Projector.build(solver.setup.projector.coarse_space, face)
     x, y = rng.standard_normal((2, constraints.size))
-    np.testing.assert_allclose(projector.on_rows(x), S @ x, atol=1e-13)
+    np.testing.assert_allclose(projector.face.part(x), S @ x, atol=1e-13)
     np.testing.assert_allclose(projector.P(S @ x), P @ x, atol=1e-11)
     np.testing.assert_allclose(projector.P_of_sum(y, x)[0], P @ y, atol=1e-11)
     np.testing.assert_allclose(projector.part_of_P(y), P @ y, atol=1e-11)

@@ -7,6 +7,7 @@ from torn import column
 
 from fenics_tfeti.feti import TornSolver
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 
 SOLVER = TornSolver(column())
 SPACE = SOLVER.setup.projector.coarse_space
@@ -37,7 +38,7 @@ def test_motions_that_equalities_and_some_contact_rows_leave_free(active, motion
     """The upper cube may sink and tilt about two axes: its kernel of G' by an SVD."""
     contact_nodes = SOLVER.system.contacts.size
     rows = np.isin(np.arange(contact_nodes), active)
-    free = Projector.build(SPACE, rows).free.toarray()
+    free = Projector.build(SPACE, Face.of(SPACE.constraints, rows)).free.toarray()
     assert free.shape == (SPACE.size, motions)
     np.testing.assert_allclose(free.T @ free, np.eye(motions), atol=1e-13)
     chosen = SOLVER.setup.constraints.equality

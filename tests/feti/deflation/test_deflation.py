@@ -18,6 +18,7 @@ from torn import column
 
 from fenics_tfeti.feti import Options, TornSolution, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
 from fenics_tfeti.feti.deflation.space import Deflation, _coefficients, _responses, at_most
 from fenics_tfeti.feti.local.congruence import CongruenceClass
@@ -261,9 +262,8 @@ def test_a_loose_body_with_fibres():
     system = replace(system, subdomains=[*system.subdomains[:-2], *stiff])
     torn, plain = (TornSolver(system, Options(rtol=1e-8, deflation=k)) for k in ("auto", "off"))
     coarse_space = torn.setup.projector.coarse_space
-    no_contact = np.zeros(torn.setup.constraints.inequality.size, dtype=bool)
     # the punch may move up and down, and turn
-    assert Projector.build(coarse_space, no_contact).free.shape[1] == 2
+    assert Projector.build(coarse_space, Face.supports(torn.setup.constraints)).free.shape[1] == 2
     assert torn.setup.deflation.size > solver(2)[1].size
     found, expected = torn.solve(), plain.solve()
     assert found.report.energy == pytest.approx(expected.report.energy, rel=1e-8)
@@ -302,12 +302,10 @@ def test_coefficients_take_all_passes_of_the_projector(passes):
     """With nine tenths of (GG')^+ each pass leaves a tenth of G U."""
     _, found = solver(2)
     coarse_space = found.coarse_space
-    projector = Projector.build(
-        coarse_space, np.zeros(coarse_space.constraints.inequality.size, dtype=bool)
-    )
+    projector = Projector.build(coarse_space, Face.supports(coarse_space.constraints))
     factor = SimpleNamespace(solve=lambda x: 0.9 * projector.gram.factor.solve(x))
     inaccurate = replace(projector, gram=replace(projector.gram, factor=factor), passes=passes)
-    G = coarse_space.motions_of_rows(projector.rows)
+    G = coarse_space.motions_of_rows(projector.face.rows)
     X = _coefficients(inaccurate, G, found.own)[0]
     size = np.abs(found.X).max()
     np.testing.assert_allclose(X, (1.0 - 0.1**passes) * found.X, atol=1e-12 * size)

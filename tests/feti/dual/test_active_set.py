@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 from friction_problems import pushed_block
 from scipy.optimize import nnls
-from torn import column, face_of, with_fields
+from torn import column, operators_on, with_fields
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti import (
@@ -20,8 +20,11 @@ from fenics_tfeti.feti import (
     TornSystem,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.active_set import _Progress, close_first_gaps
-from fenics_tfeti.feti.dual.pcpg import ContactState, Face, _scaled, pcpg
+from fenics_tfeti.feti.dual.face_operators import FaceOperators
+from fenics_tfeti.feti.dual.pcpg import pcpg
+from fenics_tfeti.feti.dual.preconditioner import _scaled
 from fenics_tfeti.qp import Products, balls
 
 pytestmark = pytest.mark.once
@@ -108,7 +111,7 @@ WHATEVER_THE_SIGNS = {"sign_factor": 0.0, "max_products": 10_000}
 def linear_products(solver: TornSolver, active: np.ndarray, tolerance: float) -> Products:
     """Count what the linear problem with these rows costs, from nothing."""
     problem = replace(solver.dual_problem(), norm=solver.setup.norm(3))
-    face = face_of(problem, active)
+    face = operators_on(problem, active)
     products = Products()
     start = np.zeros_like(problem.d)
     pcpg(problem, face, start, tolerance=tolerance, **WHATEVER_THE_SIGNS, products=products)
@@ -164,7 +167,7 @@ def test_smaller_tolerance_goes_on_where_the_larger_one_ended():
     solver = TornSolver(system, options)
     active = solver.solve().multipliers[solver.setup.constraints.inequality] > 0.0
     problem, start = solver.dual_problem(), np.zeros(solver.setup.constraints.size)
-    face, once, twice = face_of(problem, active), Products(), Products()
+    face, once, twice = operators_on(problem, active), Products(), Products()
     scale = np.linalg.norm(solver.setup.projector.P(problem.d))
     coarse, fine = (
         {"tolerance": tolerance * scale, **WHATEVER_THE_SIGNS} for tolerance in (1e-4, 1e-9)
@@ -213,9 +216,7 @@ def test_curvature_of_forces_that_turn():
     forces = (np.where(slipping, 2.0, 0.5) * radius)[:, None] * direction
     slips = rng.uniform(1.0, 2.0, friction.size)[:, None] * direction
     slips[1] *= -1.0  # against the force
-    found = ContactState.of(
-        problem, friction.with_sites(np.zeros_like(problem.d), forces), slips=slips
-    )
+    found = problem.face_of(friction.with_sites(np.zeros_like(problem.d), forces), slips=slips)
     np.testing.assert_array_equal(found.sticking, ~slipping)
     expected = np.where(slipping, np.linalg.norm(slips, axis=1) / radius, 0.0)
     expected[1] = 0.0
@@ -228,7 +229,9 @@ def test_preconditioner_of_forces_that_turn_is_the_inverse_for_rows_alone():
     friction, x = problem.constraints.friction, rng.standard_normal(problem.d.size)
     tangent = balls.directions(rng.standard_normal((friction.size, 2)))
     curvature = 10.0 ** rng.uniform(-2, 2, friction.size) / problem.unit
-    found = _scaled(problem, lambda y: problem.unit * y, curvature, tangent)(x)
+    active = np.ones(problem.constraints.inequality.size, dtype=bool)
+    face = replace(Face.of(problem.constraints, active, curvature=curvature), tangents=tangent)
+    found = _scaled(lambda y: problem.unit * y, face, problem.unit)(x)
     along = curvature * np.sum(friction.at_sites(found) * tangent, axis=1)
     left = found / problem.unit + friction.spread(along[:, None] * tangent, x.size)
     np.testing.assert_allclose(left, x, atol=1e-13)
@@ -247,20 +250,19 @@ def test_face_with_forces_that_turn_is_a_linear_problem(preconditioner):
     at_sites = balls.on_boundary(friction.at_sites(forces), problem.radius, ~sticking)
     forces = friction.with_sites(forces, at_sites)
     curvature = np.where(sticking, 0.0, 10.0 ** rng.uniform(-2, 2, friction.size))
-    tangent = friction.across(forces, sticking)
-    projector = Projector.build(problem.coarse_space, active, sticking, tangent)
-    face = Face.build(problem, ContactState(active, sticking, forces, curvature), projector)
+    face = Face.of(constraints, active, sticking, forces, curvature).with_turning_forces()
+    operators = FaceOperators.build(problem, Projector.build(problem.coarse_space, face))
     found = pcpg(
-        problem, face, np.zeros(n), tolerance=1e-12, **WHATEVER_THE_SIGNS, products=Products()
+        problem, operators, np.zeros(n), tolerance=1e-12, **WHATEVER_THE_SIGNS, products=Products()
     )
     unit = np.eye(n)
     F = np.column_stack([problem.F(x) for x in unit])
-    S = np.column_stack([projector.on_rows(x) for x in unit])
-    curvature_gradient = np.column_stack([face.curvature_gradient(x) for x in unit])
+    S = np.column_stack([face.part(x) for x in unit])
+    curvature_gradient = np.column_stack([face.curved(x) for x in unit])
     np.testing.assert_allclose(curvature_gradient, curvature_gradient.T, atol=1e-15)
     G = np.column_stack([problem.coarse_space.restrict(x) for x in unit])
     basis = np.linalg.svd(S)[0][:, : round(np.trace(S))]
-    fixed = friction.off_face(sticking, forces)
+    fixed = face.fixed
     k = len(G)
     matrix = np.block(
         [[basis.T @ (F + curvature_gradient) @ basis, basis.T @ G.T], [G @ basis, np.zeros((k, k))]]
@@ -279,17 +281,13 @@ def test_slip_is_taken_back_where_the_load_needs_it():
     # forces push along the load, and so are the slips: a motion takes them farther back
     forces[friction.rows[:, 0]] = -problem.radius
     gradient[friction.rows[:, 0]] = 1e-3 * (1.0 + np.arange(16))
-    contact_state = ContactState(
-        np.ones(constraints.inequality.size, dtype=bool),
-        np.zeros(16, dtype=bool),
-        forces,
-        np.zeros(16),
-    )
-    face = close_first_gaps(problem, contact_state, gradient)
+    slipping = Face.of(constraints, np.ones(constraints.inequality.size, dtype=bool), forces=forces)
+    operators = close_first_gaps(problem, slipping, gradient)
+    face = operators.face
     first = np.argmin(gradient[friction.rows[:, 0]])
-    assert face.contact_state.sticking[first]
-    assert 1 <= np.count_nonzero(face.contact_state.sticking) < 16
-    assert not face.contact_state.forces[friction.rows[first]].any()
-    assert not face.projector.unresisted(
-        problem.e - problem.coarse_space.restrict(face.contact_state.forces), problem.e_size
+    assert face.sticking[first]
+    assert 1 <= np.count_nonzero(face.sticking) < 16
+    assert not face.fixed[friction.rows[first]].any()
+    assert not operators.projector.unresisted(
+        problem.e - problem.coarse_space.restrict(face.fixed), problem.e_size
     ).any()

@@ -13,6 +13,7 @@ from pressed_blocks import pressed_blocks
 
 from fenics_tfeti import ContactProblem
 from fenics_tfeti.feti import Options, TornSolver
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual import deluxe_scaling
 
 pytestmark = pytest.mark.once
@@ -82,7 +83,7 @@ def test_preconditioner_is_at_least_the_inverse():
     """M >= F^{-1} on the face: the energy of displacements that close the jumps is no less."""
     torn = solver()
     setup, rows = torn.setup, faces(torn)[0]
-    precondition = setup.preconditioner.on_face(rows)
+    precondition = setup.preconditioner.on(Face.of_rows(setup.constraints, rows))
     F, M = (columns(A, rows.size) for A in (setup.F, precondition))
     P = columns(torn.setup.projector.P, rows.size)
     PF = P @ F @ P.T

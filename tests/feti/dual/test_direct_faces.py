@@ -9,9 +9,10 @@ from torn import column
 
 from fenics_tfeti.feti import Options, TornSolver, load_checkpoint, save_checkpoint
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.constraints.face import Face, Proximal
 from fenics_tfeti.feti.dual import direct_faces
 from fenics_tfeti.feti.dual.active_set import close_first_gaps
-from fenics_tfeti.feti.dual.pcpg import ContactState, pcpg
+from fenics_tfeti.feti.dual.pcpg import pcpg
 from fenics_tfeti.qp import Products
 
 
@@ -24,15 +25,15 @@ def test_inverse_on_a_face(active, compliance):
     dense, constraints = DenseSystem.of(solver), setup.constraints
     closed = np.ones(constraints.inequality.size, dtype=bool)
     closed[::3] = active == "all"
-    sticking = np.zeros(0, dtype=bool)
-    projector = Projector.build(setup.projector.coarse_space, closed, sticking)
-    direct = setup.preconditioner.direct
     per_row = compliance / setup.local.unit
-    solve = direct.on_face(projector, np.zeros(0), per_row)
+    term = Proximal(np.zeros(constraints.size), 1.0 / per_row) if compliance else None
+    face = replace(Face.of(constraints, closed), proximal=term)
+    projector = Projector.build(setup.projector.coarse_space, face)
+    solve = setup.preconditioner.direct.on(face)
     random = np.random.default_rng(1).standard_normal(constraints.size)
-    x = projector.P(projector.on_rows(random))
+    x = projector.P(face.part(random))
     C = np.where(constraints.equality, 0.0, per_row) + direct_faces._COMPLIANCE / setup.local.unit
-    part = projector.P(projector.on_rows(dense.F @ x + C * x))
+    part = projector.P(face.part(dense.F @ x + C * x))
     assert projector.P(solve(part)) == pytest.approx(x, abs=1e-9 * np.abs(x).max())
 
 
@@ -79,13 +80,12 @@ def test_conjugate_gradients_are_not_continued_with_another_preconditioner(is_di
     """They have the residual and the direction of the other one, and begin anew."""
     solver = TornSolver(column(height=1), Options())
     problem = solver.dual_problem()
-    state = ContactState.of(problem, problem.feasible)
+    face = problem.face_of(problem.feasible)
     options = {"tolerance": 0.0, "sign_factor": 0.0}
 
     def steps(start, number, **more):
-        face = close_first_gaps(problem, state, problem.c)
-        products = Products()
-        return pcpg(problem, face, start, max_products=number, products=products, **more, **options)
+        operators, limit = close_first_gaps(problem, face, problem.c), {"max_products": number}
+        return pcpg(problem, operators, start, products=Products(), **limit, **more, **options)
 
     problem.preconditioner.is_direct = not is_direct
     half = steps(problem.feasible, 3)

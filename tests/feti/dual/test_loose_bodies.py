@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from torn import column, cube, face_of, node_rows
+from torn import column, cube, node_rows, operators_on
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
 from fenics_tfeti.feti.dual.active_set import _without_tensile_rows
@@ -58,9 +58,9 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     solver = TornSolver(with_loose_cubes(-0.01, SHIFTS))
     problem = solver.dual_problem()
     coarse_space, rows = problem.coarse_space, problem.constraints.inequality
-    face = face_of(problem, np.zeros(rows.size, dtype=bool))
-    assert face.loose is not None
-    settled = face.loose.at_least_penetration(problem.c)
+    operators = operators_on(problem, np.zeros(rows.size, dtype=bool))
+    assert operators.loose is not None
+    settled = operators.loose.at_least_penetration(problem.c)
     contact = problem.constraints.contacts.contact
     penetration = np.where(contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
     squeezing = np.zeros_like(settled)
@@ -68,7 +68,7 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     assert np.count_nonzero(penetration) == len(SHIFTS) * len(WALLS) * 9
     depth = penetration / problem.constraints.lengths_of_rows()[rows]
     np.testing.assert_allclose(depth[depth > 0.0], 0.01, rtol=1e-8)
-    balance = face.projector.free.T @ coarse_space.restrict(squeezing)
+    balance = operators.projector.free.T @ coarse_space.restrict(squeezing)
     np.testing.assert_allclose(balance, 0.0, atol=1e-8 * np.linalg.norm(squeezing))
 
 
@@ -91,17 +91,15 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     active = np.zeros(rows.size, dtype=bool)
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True
-    face = face_of(problem, active | (contact == 0))
+    operators = operators_on(problem, active | (contact == 0))
     multipliers, gradient = np.zeros(size), problem.c.copy()
     multipliers[rows] = np.where(active, force, 1.0)
     # they touch the first wall, and the whole play is at the opposite one
     lengths = problem.constraints.lengths_of_rows()[rows]
     opposite = np.roll(active, 27)
     gradient[rows] = np.where(active, 0.0, np.where(opposite, 0.2 * lengths, problem.c[rows]))
-    nothing = PCPGIterate(
-        face.contact_state, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ()
-    )
-    sign_test_gradient = _without_tensile_rows(problem, face, nothing)
+    nothing = PCPGIterate(operators.face, multipliers, gradient, 0.0, 0.0, 0.0 * gradient, 1.0, ())
+    sign_test_gradient = _without_tensile_rows(problem, operators.face, nothing)
     penetrated = (sign_test_gradient[rows] < 0.0) & (contact == 1) & ~active
     assert penetrated.any() == holds
 
@@ -109,4 +107,4 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
 def test_faces_that_hold_all_bodies_have_none():
     problem = TornSolver(column(n=2)).dual_problem()
     every = np.ones(problem.constraints.inequality.size, dtype=bool)
-    assert face_of(problem, every).loose is None
+    assert operators_on(problem, every).loose is None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from dataclasses import replace
 
 from mpi4py import MPI
 
@@ -15,6 +16,7 @@ from sparse_rows import clamped, interpolated, random_rows, two_blocks
 from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.preconditioner import Choice
 from fenics_tfeti.qp import balls
 
@@ -85,8 +87,7 @@ def test_scaled_stiffness_of_the_interfaces(make, kind, scaling):
 
 def preconditioned(solver: TornSolver, active: np.ndarray) -> np.ndarray:
     """Return the preconditioner of a face as a matrix."""
-    rows = solver.setup.constraints.face(active, np.zeros(0, dtype=bool))
-    apply = solver.setup.preconditioner.on_face(rows)
+    apply = solver.setup.preconditioner.on(Face.of(solver.setup.constraints, active))
     return np.stack([apply(unit) for unit in np.eye(solver.setup.constraints.size)], axis=1)
 
 
@@ -130,14 +131,14 @@ def test_what_it_maps_to_zero_is_the_kernel_of_the_rows(seed):
     on_face = np.zeros(constraints.size, dtype=bool)
     on_face[constraints.inequality[active]] = True
     y = np.where(on_face, rng.normal(size=constraints.size), 0.0)
-    rows = constraints.face(active, np.zeros(0, dtype=bool))
-    part = preconditioner.kernel_part(y, rows)
+    face = Face.of(constraints, active)
+    part = preconditioner.kernel_part(y, face)
     B = constraints.matrix.toarray()
     N = scipy.linalg.null_space(B[on_face].T)
     assert N.shape[1] > 0
     np.testing.assert_allclose(part[on_face], N @ (N.T @ y[on_face]), atol=1e-9)
     assert not part[~on_face].any()
-    zero = preconditioner.on_face(rows)(part)
+    zero = preconditioner.on(face)(part)
     np.testing.assert_allclose(zero, 0.0, atol=1e-8 * np.abs(B).max())
 
 
@@ -150,18 +151,17 @@ def test_forces_that_turn_by_rounding_do_not_see_the_kernel(seed):
     """
     solver = TornSolver(in_a_corner(seed), Options(preconditioner="lumped"))
     constraints, preconditioner = solver.setup.constraints, solver.setup.preconditioner
-    friction, on_floor = constraints.friction, constraints.friction.contact == 0
+    on_floor = constraints.friction.contact == 0
     active = constraints.contacts.contact == 0
     # the component along y of each tangent of the floor
     tangents = np.where(on_floor[:, None], solver.system.friction.tangents[:, :, 1], 0.0)
     across = balls.tangents(balls.directions(tangents))
-    rows = constraints.face(active, ~on_floor) | friction.on_rows(on_floor, constraints.size)
-    curvature = np.where(on_floor, 1.0, 0.0)
-    assert preconditioner.on_kernel(rows, across, curvature, 0.0) is None
+    face = Face.of(constraints, active, ~on_floor, curvature=np.where(on_floor, 1.0, 0.0))
+    assert preconditioner.on_kernel(replace(face, tangents=across)) is None
     # forces along x turn along y, where those of the wall stick: the kernel is seen. They may have
     # a little along y
     tangents = balls.tangents(across) + 1e-8 * across
-    turned = preconditioner.on_kernel(rows, tangents, curvature, 0.0)
+    turned = preconditioner.on_kernel(replace(face, tangents=tangents))
     x = np.random.default_rng(seed).standard_normal(constraints.size)
     assert 0.0 < np.abs(turned(x)).max() <= 10.0
 

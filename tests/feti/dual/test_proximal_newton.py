@@ -69,7 +69,7 @@ def test_cost_is_the_smallest_for_any_bounds(name):
 def test_rows_that_are_free_without_bounds_have_no_proximal_term():
     """Multipliers of gluing and supports are those of the problem itself."""
     problem, found = by_newton(TornSolver(pulled_strip(), Options()), 1e-10)
-    term = found.newton.contact_state.proximal
+    term = found.newton.face.proximal
     assert not term.centre[problem.constraints.equality].any()
     np.testing.assert_allclose(found.newton.gradient[problem.constraints.equality], 0.0, atol=1e-8)
 

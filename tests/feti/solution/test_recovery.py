@@ -69,10 +69,10 @@ def test_forces_at_their_bound_turn_to_balance_the_load():
     start[friction.rows] = radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if friction.at_sites(solver.data.feasible)[:, 0].sum() < 0.0:
         start[friction.rows[:, 0]] *= -1.0
-    multipliers, face = balance_multipliers(coarse_space, solver.data.e, start, radius)
+    multipliers, projector = balance_multipliers(coarse_space, solver.data.e, start, radius)
     missing = solver.data.e - coarse_space.restrict(multipliers)
     assert np.linalg.norm(missing) <= 1e-12 * np.linalg.norm(solver.data.e)
     force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
     np.testing.assert_allclose(force, radius, rtol=1e-12)
-    assert not friction.within(face.rows).any()
-    assert face.free.shape[1] == 0
+    assert not projector.face.sticking.any()
+    assert projector.free.shape[1] == 0
