@@ -34,7 +34,7 @@ from fenics_tfeti.qp import (
     ProportioningOptions,
     SMALBEOptions,
     SMALBEState,
-    lanczos_upper_bound,
+    lanczos_estimate,
     proportioning,
     smalbe,
 )
@@ -98,7 +98,7 @@ def by_mprgp(problem: Problem, tolerance: float) -> tuple[np.ndarray, int]:
     A, b, G = problem.A, problem.b, problem.G
     products, feasible = Products(), ProductSet(Bounds.from_vector(problem.lower))
     start = np.random.default_rng(0).standard_normal(b.size)
-    norm = lanczos_upper_bound(lambda x: A @ x, start, LANCZOS_STEPS)
+    norm = lanczos_estimate(lambda x: A @ x, start, LANCZOS_STEPS)
     inner = ProportioningOptions(
         step_length=1.9 / norm, expansion="projected_cg", max_products=10**6
     )

@@ -40,10 +40,9 @@ def rounding(size: T, n: int = 1) -> T:
 
 # -- thresholds of rank, work and resistance -------------------------------------------------------
 
-# part of a vector, relative to the vector, that counts as none: in the rank of matrices whose rows
-# or columns have length 1, in the work of loads relative to force times displacement, and in
-# closing speeds. Rows of B that resist a rigid motion of a root mean square displacement of 1 by
-# no more, ||B R xi||, leave it free.
+# relative size treated as zero: in the rank of matrices whose rows or columns have length 1, in the
+# work of loads relative to force times displacement, and in closing speeds. Rows of B that resist a
+# rigid motion of a root mean square displacement of 1 by no more, ||B R xi||, leave it free
 ZERO = 1e-9
 # resistance ||B R xi|| that GG', which squares it, does not show: half the digits. Motions up to it
 # are pinned in the factor of GG' and corrected. At half of it no problem takes another number of
@@ -89,6 +88,6 @@ HARDLY_DEFORMED = 1e-3
 # energy norm of a body or a group, relative to that of all, below which it is nearly unloaded:
 # where rounding ends the iterations its error may be as large as if it had this part
 NEARLY_UNLOADED = 1e-6
-# energy norm, in units of what rounding leaves of forces and displacements, that counts as none.
-# At twice it a problem takes 26 products instead of 53
+# energy norms below this multiple of their rounding error are treated as zero. At twice it a
+# problem takes 26 products instead of 53
 UNDEFORMED = 1e5

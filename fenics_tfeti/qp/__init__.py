@@ -6,12 +6,12 @@ of the spectrum.
 """
 
 from fenics_tfeti.qp import balls
-from fenics_tfeti.qp.feasible_set import Bounds, Discs, FrictionCones, ProductSet, Split
-from fenics_tfeti.qp.projected_newton import (
+from fenics_tfeti.qp.bounded_springs import (
+    bounded_springs,
     least_norm,
-    projected_newton,
     smallest_factor,
 )
+from fenics_tfeti.qp.feasible_set import Bounds, Discs, FrictionCones, ProductSet, Split
 from fenics_tfeti.qp.proportioning import (
     Hessian,
     Products,
@@ -22,7 +22,7 @@ from fenics_tfeti.qp.proportioning import (
 )
 from fenics_tfeti.qp.smalbe import OuterIteration, SMALBEOptions, SMALBEResult, SMALBEState, smalbe
 from fenics_tfeti.qp.space import Space
-from fenics_tfeti.qp.spectrum import lanczos_upper_bound
+from fenics_tfeti.qp.spectrum import lanczos_estimate
 
 __all__ = [
     "Bounds",
@@ -41,9 +41,9 @@ __all__ = [
     "Split",
     "Unbounded",
     "balls",
-    "lanczos_upper_bound",
+    "lanczos_estimate",
     "least_norm",
-    "projected_newton",
+    "bounded_springs",
     "proportioning",
     "smalbe",
     "smallest_factor",

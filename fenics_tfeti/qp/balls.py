@@ -9,7 +9,7 @@ import numpy as np
 
 from fenics_tfeti.typing import Mask, Vector
 
-# distance from the boundary, relative to the radius, that counts as none
+# relative distance within which a point counts as on the boundary
 _AT_BOUNDARY = 1e-9
 
 

@@ -11,7 +11,7 @@ from fenics_tfeti.qp.space import Space
 from fenics_tfeti.typing import Vector
 
 
-def lanczos_upper_bound(
+def lanczos_estimate(
     operator: Callable[[Vector], Vector], start: Vector, steps: int, space: Space | None = None
 ) -> float:
     """Estimate the largest eigenvalue of a symmetric positive semidefinite operator from above.
@@ -39,7 +39,7 @@ def lanczos_upper_bound(
     Examples
     --------
     >>> import numpy as np
-    >>> bound = lanczos_upper_bound(lambda x: np.arange(1.0, 5.0) * x, np.ones(4), 4)
+    >>> bound = lanczos_estimate(lambda x: np.arange(1.0, 5.0) * x, np.ones(4), 4)
     >>> round(bound, 8)
     4.0
     """

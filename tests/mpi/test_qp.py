@@ -19,7 +19,7 @@ from fenics_tfeti.qp import (
     ProportioningOptions,
     SMALBEOptions,
     Space,
-    lanczos_upper_bound,
+    lanczos_estimate,
     proportioning,
     smalbe,
 )
@@ -142,5 +142,5 @@ def test_smalbe(name):
 def test_lanczos():
     shared = Shared(random_problem(2, N))
     start = np.random.default_rng(0).standard_normal(N)[shared.held]
-    bound = lanczos_upper_bound(lambda x: shared.hessian(x)[0], start, 12, shared.space)
+    bound = lanczos_estimate(lambda x: shared.hessian(x)[0], start, 12, shared.space)
     assert 1.0 - 1e-12 <= bound <= 1.05

@@ -112,7 +112,7 @@ def motions_and_supports(
         shape = (len(inside), modes * bodies)
         rows.append(sp.csr_matrix((data, columns, indptr), shape=shape))
     basis = sp.vstack(comm.allgather(sp.vstack(rows, format="csr")), format="csr")
-    # what moves no node is as good as held
+    # motions that move no node count as resisted
     still = [np.diag((~t.any(axis=0)).astype(float)) for t in inverse]
     scaled = [
         np.linalg.qr(np.vstack([e @ t, d]), mode="r")

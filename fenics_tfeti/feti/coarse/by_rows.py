@@ -31,7 +31,8 @@ _GAMG = {
 }
 _PREFIXES = (f"tfeti_coarse_{number}_" for number in itertools.count())
 
-# communicators made of one, kept as long as it: number of groups -> the group, their first ranks
+# sub-communicators, cached as an attribute of their parent: number of groups -> the group, their
+# first ranks
 _KEYVAL = MPI.Comm.Create_keyval()
 
 

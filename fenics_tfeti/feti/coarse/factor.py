@@ -33,7 +33,7 @@ _COLLECTIVES, _MESSAGES = 86, 3
 _MESSAGES_OF_FACTORISATION = 4
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
-# weight of messages: less is not worth another package
+# MUMPS is chosen only if it halves the cost: the weight of its messages
 _WEIGHT = 2.0
 
 

@@ -18,7 +18,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import ProductSet, projected_newton
+from fenics_tfeti.qp import ProductSet, bounded_springs
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # size of a rigid motion relative to the prescribed displacements: larger ones come from rows that
@@ -55,7 +55,7 @@ def closing_motion(coarse_space: CoarseSpace, c: Vector, pressing: Mask) -> Vect
     if size == 0.0 or not free.shape[1]:
         return np.zeros(coarse_space.size)
     closing = sp.diags(constraints.lengths_of_rows()[rows]) @ coarse_space.bodies.moved[rows]
-    z = projected_newton(
+    z = bounded_springs(
         closing.tocsr(),
         c[rows],
         ProductSet(),

@@ -14,7 +14,7 @@ from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FAR, PARALLEL, SAME_VALUE
 from fenics_tfeti.parallel import concatenate_ranks
-from fenics_tfeti.qp import projected_newton
+from fenics_tfeti.qp import bounded_springs
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -70,7 +70,7 @@ def contradiction(W: Vector, gaps: Vector, rounding: Vector | float = 0.0) -> Nu
     there = values > PARALLEL
     rows = np.sqrt(values[there]) * vectors[:, there]
     # the least violation of all rows: forces with sum of rows o and c'lambda < 0, or none
-    z = projected_newton(rows, gaps)
+    z = bounded_springs(rows, gaps)
     forces = np.maximum(rows @ z - gaps, 0.0)
     if forces.max() <= SAME_VALUE * violation:
         return near[:0]

@@ -31,9 +31,10 @@ from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
-# force, relative to the largest one, that is rounding
+# forces below this part of the largest one are treated as zero
 _NO_FORCE = 1e-14
-# faces in a row that may fail to reduce the violation of signs to this part
+# the method stagnates where the violation of signs was not reduced by this factor in so many
+# consecutive faces
 _FAILURES, _REDUCED = 8, 0.7
 
 
@@ -49,7 +50,7 @@ def primal_dual_active_set(problem: DualProblem, start: Iterate, turn: Turn) -> 
         status = method.judge(step)
         if status is not None:
             if status is SolveStatus.STALLED and not turn.is_spent:
-                start = replace(start, circle=(*start.circle, *method.progress.sets))
+                start = replace(start, cycle=(*start.cycle, *method.progress.sets))
             return iterate_on_face(problem, start, step.iterate, status)
         method.update(step)
 
@@ -89,7 +90,7 @@ class _ActiveSet:
     iterate: Vector | PCPGIterate  # start on the next face
     gradient: Vector  # (m,): gaps, and slips with the opposite sign, before it
     resumes: bool  # whether the next face is that of the iterate
-    circle: tuple[Mask, ...]  # sets from which the method went round in circles before
+    cycle: tuple[Mask, ...]  # sets of the last cycle
     repeated: bool = False  # whether the last face was solved, and once more for its slips
     progress: _Progress = field(default_factory=lambda: _Progress())
     # active sets of faces that were solved to the tolerance
@@ -98,13 +99,13 @@ class _ActiveSet:
     @staticmethod
     def start(problem: DualProblem, start: Iterate, turn: Turn) -> _ActiveSet:
         """Return the first face: that of an iterate, of multipliers, or of rigid bodies."""
-        rows, circle = problem.constraints.inequality, start.circle
+        rows, cycle = problem.constraints.inequality, start.cycle
         none = np.zeros(rows.size, dtype=bool)
         has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
         if start.on_face is not None:
             face = start.on_face.face
             return _ActiveSet(
-                problem, turn, has_friction, face, start.on_face, problem.c, True, circle
+                problem, turn, has_friction, face, start.on_face, problem.c, True, cycle
             )
         multipliers = start.multipliers
         face = problem.face_of(multipliers, start.active, start.slips)
@@ -114,7 +115,7 @@ class _ActiveSet:
             face = face.with_rows(pressing > 0.0, face.sticking)
             multipliers = multipliers.copy()
             multipliers[rows] += pressing
-        return _ActiveSet(problem, turn, has_friction, face, multipliers, problem.c, False, circle)
+        return _ActiveSet(problem, turn, has_friction, face, multipliers, problem.c, False, cycle)
 
     def step(self) -> _Step:
         """Solve on the face, and find the signs of forces and gaps."""
@@ -174,7 +175,7 @@ class _ActiveSet:
         if self.has_friction:
             return False
         exact = step.iterate.energy <= self.turn.tolerance
-        sets = [*self.circle, *self.exact_sets] if exact else self.circle
+        sets = [*self.cycle, *self.exact_sets] if exact else self.cycle
         return bool(sets) and 0 in _counts(self.problem, *(step.active != s for s in sets))
 
     def update(self, step: _Step) -> None:
@@ -287,8 +288,8 @@ def close_first_gaps(problem: DualProblem, face: Face, gradient: Vector) -> Face
     along = balls.directions(friction.at_sites(face.forces))
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
     active, sticking = face.active, face.sticking
-    # forces that slips out of all proportion turn keep their directions on a face: rounding would
-    # exceed what they turn by, and in the next face ZERO of the angle is left
+    # where slip / bound exceeds 1e9 compliances the force keeps its direction on a face: rounding
+    # would exceed what it turns by, and in the next face ZERO of the angle is left
     stiff = ZERO * problem.unit * face.curvature > 1.0
     while True:
         face = face.with_rows(active, sticking).with_turning_forces(but=stiff)

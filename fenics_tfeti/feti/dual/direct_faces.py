@@ -32,12 +32,12 @@ from fenics_tfeti.typing import Numbers, Operator, Vector
 
 # unknowns of all subdomains that each rank factors for each face
 _MOST = 50_000
-# steps of conjugate gradients that take the time of a factor, measured with subdomains of 600 to
-# 50,000 unknowns in three dimensions: a solve is an eightieth of it, a step some of them
+# a factorization takes the time of 40 steps of conjugate gradients, measured with subdomains of 600
+# to 50,000 unknowns in three dimensions
 _STEPS = 40
 # D of all rows, relative to F of a row: small, and no smaller than rounding needs
 _COMPLIANCE = 1e-3
-# stiffness of what no row of the face holds, relative to that of nodes
+# stiffness added at all nodes, relative to their own, for bodies that no row of the face holds
 _SUPPORT = 1e-10
 
 

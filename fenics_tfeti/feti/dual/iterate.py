@@ -105,8 +105,8 @@ class Iterate:
     active: Mask | None = None
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
-    # active sets (i,) on which the active set method went round in circles
-    circle: tuple[Mask, ...] = ()
+    # active sets (i,) in the cycle of the active set method
+    cycle: tuple[Mask, ...] = ()
     is_direct: bool = False  # of a start: whether faces are solved directly from it on
 
     def at_multipliers(self, slips: Vector) -> Iterate:

@@ -21,7 +21,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import projected_newton
+from fenics_tfeti.qp import bounded_springs
 from fenics_tfeti.typing import Numbers, Vector
 
 # rows of a product that are formed at once
@@ -86,9 +86,9 @@ def least_penetration(
 ) -> Vector:
     """Return the motion with the least penetration of all ranks' rows. Collective.
 
-    Rows (r, n) of S are closed by the motions (n, k) of a basis, see `projected_newton`.
+    Rows (r, n) of S are closed by the motions (n, k) of a basis, see `bounded_springs`.
     """
-    return projected_newton(
+    return bounded_springs(
         S,
         gap,
         basis=basis,

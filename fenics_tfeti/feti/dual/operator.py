@@ -19,7 +19,7 @@ from fenics_tfeti.feti.dual.explicit import ExplicitInverse, Orbits
 from fenics_tfeti.feti.local.congruence import apply_by_class
 from fenics_tfeti.feti.local.generalized_inverse import GeneralizedInverse
 from fenics_tfeti.feti.tolerances import rounding
-from fenics_tfeti.qp import lanczos_upper_bound
+from fenics_tfeti.qp import lanczos_estimate
 from fenics_tfeti.typing import Vector
 
 DualOperatorKind = Literal["auto", "implicit", "explicit"]
@@ -144,7 +144,7 @@ class ProjectedNorm:
         """Return the bound by at least that many Lanczos steps [m/N]."""
         if self._steps < steps:
             layout = self._projector.coarse_space.constraints.layout
-            value = lanczos_upper_bound(
+            value = lanczos_estimate(
                 lambda x: self._projector.P_of_sum(self._part(x), x)[0],
                 self._projector.P(seeded_vector(layout.numbers)),
                 steps,

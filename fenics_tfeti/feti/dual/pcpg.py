@@ -32,14 +32,16 @@ from fenics_tfeti.typing import Vector
 # r'z above this multiple of its smallest value: the residual is rounding, and the recurrences of
 # conjugate gradients amplify it (r'z of a regular problem may rise by its condition number)
 _DIVERGED = 1e12
-# rise of r'z after which a smaller r'z is checked by the true residual; ratio of the two r'z up to
-# which they agree
+# after r'z has grown by this factor, the true residual is computed before a new best iterate is
+# accepted; the two r'z agree up to the ratio
 _RISEN, _SAME = 1e4, 4.0
-# rise of the residual by the first step on a face from which on it is tried without
+# where the first step on a face raises the residual by this factor, the start without it is tried
 _OVERSHOT = 1e3
-# steps, and multiples of all steps before, that may fail to halve r'z: then it is rounding, too
+# the iterations stop as limited by rounding if r'z was not halved in 200 steps and in three times
+# the steps before
 _PATIENCE, _PATIENCE_FACTOR = 200, 3
-# p'Fp relative to r'z, about 1 with a good preconditioner, that is rounding: P leaves nothing of F
+# p'Fp below this part of r'z, which it is about equal to with a good preconditioner, is rounding:
+# P leaves nothing of F
 _NO_CURVATURE = 64 * 2.0**-52
 # stiffness of a slip against a friction force, relative to that of a weight of 1. 1 / ||PFP||, that
 # of the whole body, is much too small where the body is thin: directions of forces then follow

@@ -43,7 +43,7 @@ from fenics_tfeti.typing import Vector
 
 # rho in units of the stiffness that a weight of 1 stands for: the first, growth, the largest
 _FIRST, _GROWTH, _LARGEST = 10.0, 10.0, 1e5
-# error of Newton's method, relative to the way from the centre, up to which the centre moves
+# the centre is updated once the error of Newton's method is below this part of the distance moved
 _INEXACT = 0.5
 # residual and energy of a Newton step, relative to the error before it
 _RESIDUAL, _ENERGY = 0.1, 1e-3
@@ -74,7 +74,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         before = turn.products.total
         on_face = _on_face(problem, iterate, state, turn)
         turn = turn.extended(turn.products.total - before)
-        start = replace(start, circle=on_face.circle)
+        start = replace(start, cycle=on_face.cycle)
         if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
             return on_face if on_face.status is SolveStatus.SOLVED else iterate
         stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)

@@ -1,4 +1,4 @@
-"""Symmetries of a subdomain: what a dense matrix of it falls into blocks by.
+"""Symmetry group of a subdomain, which block-diagonalises its dense operators.
 
 A mesh of equal cells is often the same in a mirror. Then signed permutations of its unknowns leave
 the stiffness matrix, and K^+ with fixing nodes that are the same in the mirror, as they are. Those

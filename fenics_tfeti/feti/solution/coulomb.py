@@ -86,7 +86,7 @@ class _FixedPoint:
     balance: Callable[[SlipBound], Vector]  # the feasible start for given bounds
     iterate: Iterate | None  # start of the next step
     rtol: float  # tolerance of the next step
-    loosest: float = _FIRST_RTOL  # that may follow, after a first step with the full tolerance, too
+    loosest: float = _FIRST_RTOL  # upper bound of the tolerances of later steps
     changes: list[float] = field(default_factory=list)  # errors of the steps so far
     residual: Vector | None = None  # (k,) change of the bounds that the last step asked for
     length: float = 1.0  # the part of it that was taken
@@ -109,7 +109,7 @@ class _FixedPoint:
         radius = fixed_point._bounds(feasible)
         limited = (radius > 0.0) & ~balls.inside(friction.at_sites(feasible), radius)
         if any_rank(comm, limited):
-            # these bounds may hold the load just so, and the motion at the limit is not unique
+            # these bounds may hold the load at the limit, where the motion is not unique
             radius = fixed_point._bounds(_AMPLE * feasible)
         fixed_point.context = replace(context, data=replace(context.data, radius=radius))
         return fixed_point
@@ -165,7 +165,7 @@ class _FixedPoint:
             held = self._hold(np.where(step.radius > 0.0, bounds, 0.0))
             if held and (part == self.length or halved):
                 break
-            # bounds that hold the load just so have no unique motion: once more than needed
+            # bounds that hold the load at the limit have no unique motion: once more than needed
             part, halved = 0.5 * part, held
         else:
             reason = (

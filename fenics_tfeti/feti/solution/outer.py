@@ -194,7 +194,7 @@ class _Best:
             self.name = certificate.worst_name
 
     def start(self, loop: _Loop) -> Iterate:
-        """Return the iterate for SMALBE-M to go on from: none where rounding has spoilt all."""
+        """Return the iterate for SMALBE-M to go on from; none without a finite certificate."""
         spoilt = self.iterate is None or not np.isfinite(self.worst)
         iterate = loop.first(None) if spoilt else self.iterate
         assert iterate is not None
@@ -278,7 +278,7 @@ class _Loop:
         # where nothing moves, other multipliers would leave displacements of rounding size
         if start is None or self.scale.energy_norm == 0.0:
             return Iterate(np.zeros_like(self.d_0), method)
-        return replace(start, method=method, circle=())
+        return replace(start, method=method, cycle=())
 
     def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
         """Solve the dual problem: the methods take turns, first the one of the iterate."""

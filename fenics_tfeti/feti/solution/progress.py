@@ -14,7 +14,7 @@ from fenics_tfeti.feti.tolerances import NEGLIGIBLE
 
 # limit on the passes of the outer loop; most solutions take one to three
 _PASSES = 50
-# passes, and the decrease of the tolerance, that may fail to halve the certificate
+# stop after three passes and a tolerance 100 times smaller without halving the certificate
 _FAILURES, _DECREASE = 3, 1e-2
 
 

@@ -263,8 +263,8 @@ def _free_motions(
 ) -> Vector:
     """Return the part of alpha in the free motions, which the other conditions leave.
 
-    They penetrate nothing, and sites whose friction is at its bound slip along it: forces that
-    balance there leave the place of a body to the slips that the deformation makes.
+    They penetrate nothing, and sites whose friction is at its bound slip along it: if these forces
+    are in equilibrium, the position of the body follows from the slips alone.
     """
     coarse_space, T = projector.coarse_space, loose.motions
     z = loose.motion(gap)

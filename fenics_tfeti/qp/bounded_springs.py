@@ -26,19 +26,18 @@ from scipy.sparse.linalg import splu
 from fenics_tfeti.qp.feasible_set import Bounds, ProductSet
 from fenics_tfeti.typing import Vector
 
-# weights of the distance, relative to the stiffness of the springs: what is nearest without a load;
-# under a load, which may move bodies far, they decrease to what factors resolve, or to what
-# resolves the residual of no solution, and the last one is repeated
+# proximal weights relative to the largest spring stiffness. Without a load: three equal ones. Under
+# a load, which may move bodies far, they decrease to the smallest that the factorization resolves,
+# which is repeated; where there is no solution they stop at 1e-5, which resolves the residual
 _NEAREST = (1e-10, 1e-10, 1e-10)
 _DECREASING, _REPEATED = (1e-1, 1e-3, 1e-5, 1e-7, 1e-9, 1e-11, 1e-13), 5
 _SPARSE, _DENSE, _NO_SOLUTION = 1e-13, 1e-15, 1e-5
 # limits on Newton steps, on the bisections of each, and on the corrections of forces
 _NEWTON_STEPS, _BISECTIONS, _CORRECTIONS = 60, 60, 20
-# rounding of the gradient, relative to the sizes of its terms; residuals relative to the load that
-# count as none, and that need no correction
+# rounding of the gradient, relative to the sizes of its terms; relative residuals that are treated
+# as zero, and that need no correction
 _ROUNDING, _SOLVED, _EXACT = 2.0**-51, 1e-12, 1e-14
-# singular value of rows, relative to the largest, that is rounding, and what rounding leaves of a
-# column in their combinations
+# relative singular value treated as zero; relative entry of a combination treated as zero
 _UNRESISTED, _TRACE = 1e-13, 1e-14
 # largest factor of bounds, its relative accuracy, and ||Cx - d|| / ||d|| of a solution
 _LARGEST_FACTOR, _ACCURACY, _BALANCED = 2.0**40, 1e-4, 1e-9
@@ -59,7 +58,7 @@ def _same(part: Any) -> Any:
     return part
 
 
-def projected_newton(
+def bounded_springs(
     S: Vector | sp.csr_matrix,
     gap: Vector,
     feasible: ProductSet | None = None,
@@ -102,7 +101,7 @@ def projected_newton(
 
     >>> import numpy as np, scipy.sparse as sp
     >>> S = sp.csr_matrix([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-    >>> projected_newton(S, np.array([-1.0, 3.0, -2.0, -1.0])).round(6).tolist()
+    >>> bounded_springs(S, np.array([-1.0, 3.0, -2.0, -1.0])).round(6).tolist()
     [-1.0, -0.5]
     """
     T = sp.identity(S.shape[1], format="csr") if basis is None else basis
@@ -156,7 +155,7 @@ class _Point:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Derivatives of the cost, see `projected_newton`."""
+    """Derivatives of the cost, see `bounded_springs`."""
 
     S: Vector | sp.csr_matrix
     T: sp.csr_matrix
@@ -233,7 +232,7 @@ def least_norm(
 ) -> tuple[Vector, Vector]:
     """Minimise 1/2 ||x||^2 + 1/2 ||p||^2 + gap'x subject to Cx + Ep = d on a convex set of x.
 
-    It is the dual problem of `projected_newton`: x = P(C'z - gap) and p = E'z. Where columns are
+    It is the dual problem of `bounded_springs`: x = P(C'z - gap) and p = E'z. Where columns are
     small, z is large: of an array, rows are combined such that those of (C, E) are orthonormal, and
     what z leaves of the balance is corrected on the components that are not at a bound.
 
@@ -280,7 +279,7 @@ def least_norm(
     if not (b.any() and A.shape[1]):
         return np.zeros(n), d.copy()
     rows = (sp.diags(1.0 / lengths) @ B).T
-    z = projected_newton(rows, gap, feasible, load=b / lengths)
+    z = bounded_springs(rows, gap, feasible, load=b / lengths)
     x = _balanced(B, b, feasible, rows @ z - gap)
     residual: Vector = d - A @ x
     if np.linalg.norm(residual) > _SOLVED * np.linalg.norm(d):
@@ -288,7 +287,7 @@ def least_norm(
         units = _units(B, feasible)
         B = B @ sp.diags(units)
         none = np.zeros_like(gap)
-        z = projected_newton(B.T, none, feasible, load=b, least_weight=_NO_SOLUTION)
+        z = bounded_springs(B.T, none, feasible, load=b, least_weight=_NO_SOLUTION)
         tried = units * _balanced(B, b, feasible, B.T @ z)
         if np.linalg.norm(d - A @ tried) < np.linalg.norm(residual):
             x, residual = tried, d - A @ tried
@@ -307,7 +306,7 @@ def _certificate(A: Any, d: Vector, feasible: ProductSet, residual: Vector) -> V
     columns = A @ sp.diags(_units(A, feasible))
     free = columns[:, np.delete(np.arange(A.shape[1]), feasible.bounds.indices)]
     S = sp.hstack([columns, -free]) if sp.issparse(A) else np.hstack([columns, -free])
-    point: Vector = d + projected_newton(S.T, -(S.T @ d))
+    point: Vector = d + bounded_springs(S.T, -(S.T @ d))
     certain = np.linalg.norm(point) > _BALANCED * np.linalg.norm(d)
     return point if certain else residual
 
