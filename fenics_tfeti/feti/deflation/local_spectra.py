@@ -89,7 +89,6 @@ class LocalVectors:
     # (k,): their eigenvalue relative to the threshold; infinite for those that have to be deflated
     excess: Vector
     solves: int  # with K_s^+, for all vectors
-    twice: bool = True  # whether rounding makes it necessary to remove them twice; on all ranks
 
     def chosen(self, kept: Mask) -> LocalVectors:
         """Return some of the vectors."""
@@ -99,17 +98,6 @@ class LocalVectors:
             [self.values[i] for i in at],
             self.excess[at],
             self.solves,
-            self.twice,
-        )
-
-    def with_others(self, others: LocalVectors) -> LocalVectors:
-        """Return these and other vectors."""
-        return LocalVectors(
-            self.rows + others.rows,
-            self.values + others.values,
-            np.append(self.excess, others.excess),
-            self.solves + others.solves,
-            self.twice or others.twice,
         )
 
 

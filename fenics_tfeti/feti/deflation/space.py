@@ -149,7 +149,7 @@ class Deflation:
         displacements = operator(interface.transposed @ x)
         # the second time for what rounding leaves, which a large F multiplies: in a direction
         # without curvature the residual has to be zero, or conjugate gradients diverge
-        for _ in range(2 if self.vectors.twice else 1):
+        for _ in range(2):
             work = self._combined(self.pieces @ displacements)
             displacements = displacements - self._response(self._solve(work))
         return interface.matrix @ displacements

@@ -12,8 +12,7 @@ sign tells whether the face is the right one.
 With the lumped preconditioner M = B_D K B_D' the number r'Mr is the squared energy of B_D'r, with
 B_D = W^{-1} B D^{-1} of the rows on the face: the displacement that closes the jumps r. So
 sqrt(r'z) bounds the error of the displacement in the energy norm, see
-`fenics_tfeti.feti.solution.certificate`. So it does with the Dirichlet preconditioner, unless stiff
-modes are capped (`stiff_modes`).
+`fenics_tfeti.feti.solution.certificate`. So it does with the Dirichlet preconditioner.
 """
 
 from __future__ import annotations

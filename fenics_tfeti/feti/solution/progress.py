@@ -54,8 +54,8 @@ class Progress:
     def judge(self, method: Method, certificate: Certificate, tolerance: float) -> Stagnation:
         """Compare the certificate of a pass with the smallest numbers so far."""
         self._update(certificate, tolerance)
-        # without a preconditioner, or with stiff modes capped, residuals are measured too small
-        # where the material is stiff: rounding is then below that of the energy
+        # without a preconditioner residuals are measured too small where the material is stiff:
+        # rounding is then below that of the energy
         if 0.0 < certificate.bound < np.inf:
             self.measured = min(max(self.measured, tolerance / certificate.bound), 1.0)
         rounding = self.scale.rounding_at(certificate.energy_norm)

@@ -31,7 +31,7 @@ from fenics_tfeti.feti.deflation.selection import (
     weights_of_equality_rows,
 )
 from fenics_tfeti.feti.deflation.space import Deflation, at_most, same_equality_rows
-from fenics_tfeti.feti.deflation.stiff_modes import CAP, MOST, StiffModes, deflated_vectors
+from fenics_tfeti.feti.deflation.stiff_modes import STIFF, StiffModes
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.direct_faces import DirectFaces
 from fenics_tfeti.feti.dual.operator import DualOperator, ProjectedNorm
@@ -169,8 +169,6 @@ class DualSetup:
     # (subdomains,) of F_s that trial displacements show, in the order of the packed interface
     # unknowns; empty where nothing is chosen by them
     eigenvalues: Vector
-    # of each class, None where there are none; empty if they are not looked for
-    stiff_modes: Sequence[StiffModes | None]
     negative: int  # negative eigenvalues of the K_i of all ranks
     deflation: Deflation | None = None  # what F and d are replaced by, if anything
     deflation_solves: int = 0  # solves with K_i^+ of this rank for deflation or its vectors
@@ -195,17 +193,12 @@ class DualSetup:
         choice, reactions, eigenvalues = _chosen_reactions(
             system, options, local, F, package, of_all
         )
-        preconditioner, scaling, modes = None, None, list[StiffModes | None]()
+        preconditioner = scaling = None
         if choice.kind == "dirichlet" and options.deflation != "off":
             modes = _stiff_modes(system, local, F, reactions)
             scaling = DeluxeScaling.build(F, modes, local.unit, package)
             if scaling is not None:
-                choice, modes = choice.with_stiff_modes(scaling.size), []
-            else:
-                reactions = [
-                    reaction if stiff is None else stiff.capped(reaction)
-                    for stiff, reaction in zip(modes, reactions, strict=True)
-                ]
+                choice = choice.with_stiff_modes(scaling.size)
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
             direct = None
@@ -222,7 +215,6 @@ class DualSetup:
             ProjectedNorm(F.part, projector, 1.0 / local.unit),
             RowBodies.build(system, constraints, local.unknowns.ends),
             eigenvalues,
-            modes,
             of_all,
         )
 
@@ -293,20 +285,6 @@ class DualSetup:
         return ProjectedNorm(part, self.projector, 1.0 / self.local.unit)
 
     def _vectors(self, system: TornSystem, options: Options, factor: float) -> LocalVectors | None:
-        """Return the vectors to be deflated; None, on all ranks, if there are none. Collective."""
-        vectors = self._local_vectors(system, options, factor)
-        if not any_rank(system.comm, [stiff is not None for stiff in self.stiff_modes]):
-            return vectors
-        modes = self.stiff_modes or [None] * len(self.local.classes)
-        stiff = deflated_vectors(self.constraints, self.F.interface, modes)
-        if system.comm.allreduce(stiff.excess.size) > MOST:
-            # the cap alone
-            return vectors
-        return stiff if vectors is None else vectors.with_others(stiff)
-
-    def _local_vectors(
-        self, system: TornSystem, options: Options, factor: float
-    ) -> LocalVectors | None:
         """Return the vectors of this rank's subdomains; None if no rank has any to look for.
 
         They are those with eigenvalues above the threshold times a factor.
@@ -443,7 +421,7 @@ def _stiff_modes(
         begin, end = end, end + unknowns.size * congruent.members.size
         # theta is less than the ratio
         stiff = None
-        if ratio > CAP and unknowns.size:
+        if ratio > STIFF and unknowns.size:
             columns = interface.columns[begin : begin + unknowns.size]
             x = system.subdomains[congruent.first].coordinates_in_frame
             dilatation = np.zeros(congruent.size)

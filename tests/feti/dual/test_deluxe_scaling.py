@@ -14,7 +14,6 @@ from pressed_blocks import pressed_blocks
 from fenics_tfeti import ContactProblem
 from fenics_tfeti.feti import Options, TornSolver
 from fenics_tfeti.feti.constraints.face import Face
-from fenics_tfeti.feti.dual import deluxe_scaling
 
 pytestmark = pytest.mark.once
 
@@ -91,16 +90,3 @@ def test_preconditioner_is_at_least_the_inverse():
     # zero on the range of G'
     assert values[values > 1e-6].min() > 1.0 - 1e-6
     assert values.max() < 100.0
-
-
-def test_a_cap_where_there_are_too_many_modes(monkeypatch):
-    few = solver()
-    monkeypatch.setattr(deluxe_scaling, "_MOST", few.setup.preconditioner.scaling.size - 1)
-    capped = TornSolver(few.system, Options())
-    assert capped.setup.preconditioner.scaling is None
-    solutions = [torn.solve() for torn in (capped, few)]
-    assert solutions[0].report.deflation["vectors"] > 0
-    assert [s.report.converged for s in solutions] == [True, True]
-    forces = [s.report.contacts[0].normal_force for s in solutions]
-    assert forces[0] == pytest.approx(forces[1], rel=1e-5)
-    assert solutions[1].report.products["total"] <= solutions[0].report.products["total"]
