@@ -13,7 +13,7 @@ from pairwise import pairwise
 from torn import column, in_units, with_fields, with_prescribed
 
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
-from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
 from fenics_tfeti.feti.solution.recovery import Recovered, balance_multipliers, recover_displacement
@@ -183,16 +183,16 @@ def test_body_at_rest_beside_a_loaded_one_needs_nothing():
 
 def recovered_from(
     solver: TornSolver, multipliers: np.ndarray
-) -> tuple[Recovered, np.ndarray, Projector]:
-    """Return the displacements that follow from multipliers, these balanced, and their face."""
+) -> tuple[Recovered, np.ndarray, CoarseSpace]:
+    """Return the displacements that follow from multipliers, these balanced, and G."""
     data, setup = solver.data, solver.setup
-    multipliers, face = balance_multipliers(
+    multipliers, projector = balance_multipliers(
         setup.projector.coarse_space, data.e, multipliers, data.radius
     )
     recovered = recover_displacement(
-        setup.F, face, data.load, data.c, multipliers, setup.local.unit
+        setup.F, projector, data.load, data.c, multipliers, setup.local.unit
     )
-    return recovered, multipliers, face
+    return recovered, multipliers, projector.coarse_space
 
 
 def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
