@@ -187,8 +187,9 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Solve in load steps, each accepted by `advance`, and yield after each of them.
 
         A step that fails is halved; after two easy ones in a row, the next ones are twice as long.
-        With finite strains a step is easy that took no more than half of ``newton_max_it`` steps of
-        Newton's method, otherwise each that did not fail. A step that has not converged fails,
+        With finite strains a step is easy that took no more than 6 steps of Newton's method, and no
+        more than half of ``newton_max_it``; after one with more than 15 the next ones are half as
+        long. Otherwise each is easy that did not fail. A step that has not converged fails,
         whatever the option ``error_if_not_converged``. Where a step of a thousandth of all fails,
         loads, `u` and `results` are left at the last accepted step.
 
@@ -269,6 +270,8 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             t = target
             if easy == 2:
                 length, easy = 2.0 * length, 0
+            elif self._was_hard():
+                length = max(0.5 * length, _SHORTEST * total)
             self._step = replace(self._step, load=t, length=sign * length, easy=easy, end=end)
             yield t
 
@@ -409,6 +412,10 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     def _was_easy(self) -> bool:
         """Tell whether a step that did not fail was an easy one."""
         return True
+
+    def _was_hard(self) -> bool:
+        """Tell whether the steps after one that did not fail should be shorter."""
+        return False
 
     def _solve_step(self) -> None:
         """Solve at the present load; an error leaves the problem as it was before."""

@@ -34,6 +34,9 @@ from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet
 from fenics_tfeti.report import ContactReport
 
+# Newton steps up to which longer load steps are tried, and above which shorter ones
+_EASY, _HARD = 6, 15
+
 
 @dataclass(frozen=True)
 class NonlinearReport(ContactReport):
@@ -211,7 +214,10 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         return SlipOrigin.at(self.u)
 
     def _was_easy(self) -> bool:
-        return len(self.report.newton) <= 0.5 * self.options.newton_max_it
+        return len(self.report.newton) <= min(_EASY, 0.5 * self.options.newton_max_it)
+
+    def _was_hard(self) -> bool:
+        return len(self.report.newton) > _HARD
 
     def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
         self._is_solved = False

@@ -21,6 +21,13 @@ def test_easy_steps_are_lengthened():
     assert scene.problem.results[0].force[1] < -0.3
 
 
+def test_steps_after_hard_ones_are_shorter():
+    scene = indented_block(n=2)
+    scene.problem._was_easy, scene.problem._was_hard = lambda: False, lambda: True
+    loads = scene.problem.steps(scene.set_load, 0.0, 1.0, first=0.5)
+    assert [next(loads) for _ in range(3)] == [0.5, 0.75, 0.875]
+
+
 def test_no_rest_of_rounding_is_a_step():
     scene = indented_block(n=2)
     scene.problem._was_easy = lambda: False
