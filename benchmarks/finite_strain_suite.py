@@ -8,7 +8,8 @@ Puso and Laursen 2004); a half ball is pressed on a block and turned by 180 degr
 mark has the forces and their distance from the band of published ones, which were read off figures.
 The last row of a case has how far it got, load steps and those that failed, Newton steps of all of
 them, products with F of a Newton step, and processor seconds. Load steps have a constant length,
-halved where they fail, or with `--chosen` that which `problem.steps` chooses.
+halved where they fail, or with `--chosen` that which `problem.steps` chooses; forces at marks are
+then between those of two load steps.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from mpi4py import MPI
@@ -265,22 +267,21 @@ def run(cases=tuple(CASES), chosen=False):
 
 def run_case(name, case, chosen):
     """Yield a row for each mark that is reached, and one for the case."""
-    start, load, accepted = time.process_time(), 0.0, 0
-    problem = case.problem
+    start, problem, history, failure = time.process_time(), case.problem, [(0.0, {})], ""
     marks = sorted({*case.published, *case.own})
-    failure = ""
     try:
         for load in loads_of(case, chosen):
-            accepted += 1
+            history.append((load, case.forces()))
             for mark in marks:
-                if abs(mark - load) < 1e-9:
-                    yield at_mark(name, case, mark)
+                if history[-2][0] < mark - 1e-9 <= load:
+                    yield at_mark(name, case, mark, history[-2:])
     except NotConverged as error:
         failure = str(error)
+    accepted = len(history) - 1
     steps = sum(problem.solves, [])
     row = {
         "case": name,
-        "reached": float(load),
+        "reached": float(history[-1][0]),
         "load steps": accepted,
         "failed": len(problem.solves) - accepted,
         "Newton": len(steps),
@@ -294,28 +295,23 @@ def run_case(name, case, chosen):
 
 def loads_of(case, chosen):
     """Yield the loads of accepted steps, of one length or of that which is chosen."""
-    steps, end = case.problem.steps, case.end
+    steps = case.problem.steps
     if chosen:
-        # marks are reached exactly
-        ends = [mark for mark in sorted({*case.published, *case.own}) if mark < end] + [end]
-    else:
-        ends = [float(x) for x in np.linspace(0, end, round(end / case.step) + 1)[1:]]
-    begin, length = 0.0, case.step
-    for target in ends:
-        target = round(target, 9)
-        last = begin
-        for load in steps(case.set_load, begin, target, first=min(length, target - begin)):
-            if chosen and load < target - 1e-9:
-                length = load - last
-            last = load
-            yield load
-        begin = target
+        yield from steps(case.set_load, 0.0, case.end, first=case.step)
+        return
+    for ends in pairwise(np.linspace(0.0, case.end, round(case.end / case.step) + 1)):
+        yield from steps(case.set_load, *(round(float(end), 9) for end in ends))
 
 
-def at_mark(name, case, mark):
-    """Return the forces at a mark, and their distances from the published band and own values."""
+def at_mark(name, case, mark, history):
+    """Return the forces at a mark, and their distances from the published band and own values.
+
+    The history is the accepted loads before and behind the mark, between which forces are linear.
+    """
+    (before, old), (behind, new) = history
+    part = min((mark - before) / (behind - before), 1.0)
+    forces = {force: (1.0 - part) * old.get(force, 0.0) + part * new[force] for force in new}
     row = {"case": name, "load": mark}
-    forces = case.forces()
     for force, value in forces.items():
         row[force] = value
         if codes := case.published.get(mark, {}).get(force):
