@@ -211,13 +211,16 @@ class NewtonIteration:
         not stable; where that does not get anywhere with projected tangents in the whole contact
         problem.
         """
-        options, face = self._options, self._load_step.face_of(state)
+        options = self._options
+        has_settled = not any_rank(self._load_step.torn.nodes.comm, self._changed)
+        face = self._load_step.face_of(state, has_settled)
         on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
         if options.tangent != "projected":
             with suppress(UnstableTangent):
                 if (step := self._solve_on(face, state, options.tangent, monitor)) is not None:
                     return step
         if on_face:
+            face = self._load_step.face_of(state)
             step = self._solve_on(face, state, "projected", monitor)
             if step is not None:
                 return step

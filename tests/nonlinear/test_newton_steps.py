@@ -2,7 +2,13 @@
 
 import numpy as np
 import pytest
-from finite_strains import indented_block, leaning_column, pressed_patch, squeezed_block
+from finite_strains import (
+    indented_block,
+    leaning_column,
+    pressed_patch,
+    pulled_strip,
+    squeezed_block,
+)
 
 from fenics_tfeti import Coulomb, Plane
 
@@ -62,3 +68,10 @@ def test_unstable_equilibria_are_left(loads):
     tip = scene.problem.u.x.array.reshape(-1, 2)[:, 0].max()
     assert tip == pytest.approx(0.4422, abs=1e-3)
     assert scene.problem.results[0].force[1] == pytest.approx(-3.495e-4, rel=1e-3)
+
+
+def test_slip_that_spreads():
+    """From the pulled end of a strip over 9 of 48 nodes: not in a Newton step for each of them."""
+    scene = pulled_strip(48, Coulomb(0.3))
+    assert max(steps_of(scene, [1.0, 1.5, 2.0])) <= 4
+    assert np.count_nonzero(scene.problem.results[0].friction.state == 2) >= 9

@@ -304,6 +304,24 @@ def leaning_column(lean: float = 0.01, compression: float = 0.1, **options: Any)
     return Scene.of(bodies, u, W, lambda part: down.update(now=part * compression), **options)
 
 
+def pulled_strip(n: int, friction: Any, **options: Any) -> Scene:
+    """Make a strip of n cells that a load of 1 presses on a plane, and that further ones pull."""
+    marks = [(BASE, at(1, 0)), (TOP, at(1, 0.25)), (ENDS, at(0, 4))]
+    parts = [((0, 0), (4, 0.25), (n, 2))]
+    bodies = scenes.Scene.of_boxes(MPI.COMM_WORLD, "quadrilateral", parts, marks)
+    u, pressure = fem.Function(bodies.V), bodies.constant(np.zeros(2))
+    pull = fem.Constant(bodies.mesh, 0.0)
+    bodies.fix(ENDS, 0, pull)
+    bodies.add_obstacle(BASE, Plane((0.0, 0.0), (0.0, 1.0)), friction=friction)
+
+    def set_load(load: float) -> None:
+        pressure.value[1] = -0.02 * min(load, 1.0)
+        pull.value = 0.02 * max(load - 1.0, 0.0)
+
+    W = neo_hookean(1.0, 0.0)(u) * ufl.dx(metadata={"quadrature_degree": 3})
+    return Scene.of(bodies, u, W, set_load, ufl.inner(pressure, u) * bodies.ds(TOP), **options)
+
+
 def turn(mesh: Any, degrees: float) -> Any:
     """Turn a mesh around the origin, and return the directions of its axes as columns."""
     dim = mesh.geometry.dim

@@ -2,7 +2,8 @@
 
 Where nodes press, the row holds whatever the change of its force; where friction holds them, too,
 so do the tangential rows. Where they slip, friction forces are loads; in three dimensions they may
-turn, and have the bounds of the last forces in the contact problem. Rows that do not press stay
+turn, and have the bounds of the last forces in the contact problem, as have those of all nodes
+while slip spreads. Rows that do not press stay
 inequalities, with friction as of the contact problem, so that contact may grow. Unknowns are the
 changes of forces: the tolerance of a linear problem is then relative to what is out of balance.
 """
@@ -18,6 +19,7 @@ import numpy as np
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.feti import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction, RowValues
+from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Mask, Vector
 
 
@@ -52,8 +54,14 @@ class Face:
     free: Mask  # (sites,): at other rows, and where forces at their bound may turn
 
     @staticmethod
-    def of(rows: DeformedRows, multipliers: Multipliers, negligible: float) -> Face:
-        """Hold the rows that press; nodes that slid against their forces stick."""
+    def of(
+        rows: DeformedRows, multipliers: Multipliers, negligible: float, has_settled: bool = False
+    ) -> Face:
+        """Hold the rows that press; nodes that slid against their forces stick. Collective.
+
+        Where the nodes that press have settled, and slip spreads, friction forces at nodes that
+        stick are unknown up to their bounds: else it would reach one node in each step.
+        """
         friction, place = rows.friction, rows.place
         held = multipliers.normal[place] > 0.0
         forces = rows.friction_forces(multipliers)
@@ -63,10 +71,15 @@ class Face:
         slips = multipliers.slipping[at] & ~returns
         sites = held[friction.row]
         turns = sites & slips & (friction.tangents.shape[1] > 1)
+        slid, begins = multipliers.slid[at], slips & ~multipliers.slid[at]
+        comm = rows.conditions.boundary.nodes.comm
+        spreads = any_rank(comm, sites & begins) and any_rank(comm, sites & slid)
+        if has_settled and spreads:
+            turns |= sites & ~slips
         slipping, tangential = multipliers.slipping.copy(), multipliers.tangential.copy()
         slipping[at], tangential[at[turns]] = slips, 0.0
         multipliers = replace(multipliers, slipping=slipping, tangential=tangential)
-        return Face(rows, multipliers, held, sites & ~slips, ~sites | turns)
+        return Face(rows, multipliers, held, sites & ~slips & ~turns, ~sites | turns)
 
     def without(self, released: Mask) -> Face:
         """Return the face where some contact rows are inequalities, with all forces as unknowns."""

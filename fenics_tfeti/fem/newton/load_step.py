@@ -121,10 +121,10 @@ class LoadStep:
         """The stiffness of nodes: forces of slips, and of gaps, of a length of one [N/m]."""
         return largest_of_ranks(self.torn.nodes.comm, self.rounding.stiffness)
 
-    def face_of(self, state: NewtonState) -> Face:
-        """Return the face of a state. Collective."""
+    def face_of(self, state: NewtonState, has_settled: bool = False) -> Face:
+        """Return the face of a state, whose pressing nodes may have settled. Collective."""
         negligible = self.rounding.length(self._size(state))
-        return Face.of(state.rows, state.multipliers, negligible)
+        return Face.of(state.rows, state.multipliers, negligible, has_settled)
 
     def out_of_balance(self, state: NewtonState, face: Face) -> tuple[Vector, Vector]:
         """Return the forces (owned, gdim) and beyond the mesh that a step balances. Collective."""
