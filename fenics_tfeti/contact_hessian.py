@@ -49,7 +49,7 @@ class Correction:
     products: int = 0
     left: float = 0.0  # part of the residual
     added: Change | None = None  # by GMRES to the solution without the Hessian
-    curvature: float = 0.0  # of the energy along that [J]
+    curvature: float = 0.0  # of the energy along that, at the most [J]
 
     def downhill(self) -> Correction:
         """Return it with what was added reversed, if the energy has a maximum along that.
@@ -176,29 +176,39 @@ class ContactHessian:
         left_out = self.times(first, changes, conditions.bodies.motions, length)
         beta, products = self._space.norm(left_out), 0
 
-        def step(v: Vector) -> tuple[Change, Vector]:
+        def step(v: Vector) -> tuple[tuple[Change, Vector], Vector]:
             nonlocal products
             solution = self.linear.approximate(self._data(v), _INNER)
             products += solution.products
             change = Change(solution.displacements, solution.forces)
-            return change, v + self.times(change, change.forces.normal[:rows], at_rest, length)
+            image = v + self.times(change, change.forces.normal[:rows], at_rest, length)
+            return (change, v), image
 
         tolerance = max(rtol * beta, negligible)
         parts, y, left = gmres(step, -left_out, self._space, tolerance=tolerance, max_it=_MOST)
         if not parts:
             return Correction(first)
-        added = parts[0].plus(float(y[0]) - 1.0, parts[0])
-        for factor, change in zip(y[1:], parts[1:], strict=True):
-            added = added.plus(float(factor), change)
+        added, given = parts[0][0].plus(float(y[0]) - 1.0, parts[0][0]), y[0] * parts[0][1]
+        for factor, (change, v) in zip(y[1:], parts[1:], strict=True):
+            added, given = added.plus(float(factor), change), given + factor * v
         left /= max(beta, self._space.norm(right), negligible)
-        curvature = -self._work(left_out, added)
+        curvature = self._curvature(-left_out, given, added)
         return Correction(first.plus(1.0, added), len(parts), products, left, added, curvature)
 
-    def _work(self, v: Vector, change: Change) -> float:
-        """Return the work of the forces of a vector along a change [J]. Collective."""
-        pairs = zip(self._data(v).loads, change.displacements, strict=True)
+    def _curvature(self, right: Vector, given: Vector, added: Change) -> float:
+        """Return d'(K + E)d of an addition d, at the most [J]. Collective.
+
+        It is the work of the forces that GMRES balances, less that of the forces of rows along the
+        distances which their solutions are given. Without these d is in the null space of the rows,
+        where alone the sign says something; so their work counts as positive.
+        """
+        jumps, forces = self._data(given).jumps, added.forces
+        pairs = zip(self._data(right).loads, added.displacements, strict=True)
         work = sum(float(load @ d) for load, d in pairs)
-        return float(self.load_step.torn.nodes.comm.allreduce(work))
+        of_rows = float(jumps.normal @ forces.normal + jumps.tied @ forces.tied)
+        comm = self.load_step.torn.nodes.comm
+        work, of_rows = comm.allreduce(np.array([work, of_rows])).tolist()
+        return work + abs(of_rows)
 
     def _data(self, v: Vector) -> LinearData:
         """Return loads and jumps of a vector. Collective."""

@@ -284,7 +284,9 @@ class NewtonIteration:
                 if not is_last:
                     return None
                 corrected = without
-            if tangent == "projected":
+            # near its end Newton's method goes to the equilibrium that is there
+            is_far = state.equilibrium.residual > _LOOSEST / _FORCING
+            if tangent == "projected" and is_far:
                 corrected = corrected.downhill()
         free = describe_free_motions(system, solution.active, solution.sticking)
         report = replace(solution.report, free_motions=free)
