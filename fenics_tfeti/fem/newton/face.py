@@ -3,9 +3,9 @@
 Where nodes press, the row holds whatever the change of its force; where friction holds them, too,
 so do the tangential rows. Where they slip, friction forces are loads; in three dimensions they may
 turn, and have the bounds of the last forces in the contact problem, as have those of all nodes
-while slip spreads. Rows that do not press stay
-inequalities, with friction as of the contact problem, so that contact may grow. Unknowns are the
-changes of forces: the tolerance of a linear problem is then relative to what is out of balance.
+while slip spreads. Rows that do not press stay inequalities, with friction as of the contact
+problem, so that contact may grow. Unknowns are the changes of forces: the tolerance of a linear
+problem is then relative to what is out of balance.
 """
 
 from __future__ import annotations
