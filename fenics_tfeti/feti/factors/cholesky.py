@@ -160,9 +160,9 @@ class SparseFactor:
     def between(self, unknowns: Numbers) -> Operator | None:
         """Return the inverse between some unknowns, for rows (k, b), where it is compiled."""
         factor = self._factor
-        if isinstance(factor, SupernodalFactor | DowndatedFactor):
+        if isinstance(factor, DowndatedFactor) and isinstance(factor.of, SupernodalFactor):
             return factor.between(unknowns)
-        return None
+        return factor.between(unknowns) if isinstance(factor, SupernodalFactor) else None
 
     @property
     def entries(self) -> int:
@@ -257,7 +257,9 @@ def _with_diagonal(matrix: sp.csr_matrix) -> sp.csr_matrix:
 def sparse_ldl(matrix: sp.csr_matrix) -> SparseFactor:
     """Return the LDL' factor of a sparse symmetric matrix that may be indefinite; its inertia.
 
-    It is by rslab or MUMPS: CHOLMOD does not pivot. `FactorizationError` if the matrix is singular.
+    It is by rslab or MUMPS: CHOLMOD does not pivot. Unknowns without a diagonal entry get a spring
+    that the solves take off again, as rslab pivots within supernodes only. `FactorizationError` if
+    the matrix is singular.
 
     Examples
     --------
@@ -273,14 +275,28 @@ def sparse_ldl(matrix: sp.csr_matrix) -> SparseFactor:
             "install a PETSc with MUMPS, or 'pip install rslab'"
         )
     try:
-        factor = SparseFactor(_factor(matrix, package, definite=False))
+        factor = SparseFactor(_ldl_with_springs(matrix, package))
         _energy_of_probe(factor, matrix.dot, matrix.shape[0])
-    except _Unusable as error:
+    except (NotDefinite, _Unusable) as error:
         raise FactorizationError(
             f"the LDL' factorisation by {package} failed ({error}): the matrix of order "
             f"{matrix.shape[0]} is singular"
         ) from error
     return factor
+
+
+def _ldl_with_springs(matrix: sp.csr_matrix, package: str) -> _Factor:
+    """Return the LDL' factor of a matrix, made with springs where its diagonal is zero."""
+    diagonal = matrix.diagonal()
+    bare = np.flatnonzero(diagonal == 0.0)
+    if not bare.size:
+        return _factor(matrix, package, definite=False)
+    spring = 2.0 * (float(np.abs(matrix.data).max(initial=0.0)) or 1.0)
+    springs = np.where(diagonal == 0.0, spring, 0.0)
+    factor = _factor((matrix + sp.diags(springs)).tocsr(), package, definite=False)
+    U = np.zeros((diagonal.size, bare.size))
+    U[bare, np.arange(bare.size)] = np.sqrt(spring)
+    return DowndatedFactor(factor, U)
 
 
 def _energy_of_probe(

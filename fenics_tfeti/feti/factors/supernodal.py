@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import weakref
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.compiled import pointer
 from fenics_tfeti.feti.factors.threads import one_thread
+from fenics_tfeti.feti.tolerances import rounding
 from fenics_tfeti.typing import Indices, Numbers, Operator, Vector
 
 # right-hand sides that are solved for at once are at most as many
@@ -129,29 +131,30 @@ class SupernodalFactor:
 class DowndatedFactor:
     """The inverse A^{-1} + Y C^{-1} Y' of A - UU', with Y = A^{-1} U and C = I - U'Y.
 
-    By Sylvester's law C has the negative eigenvalues of A - UU'. `NotDefinite` if C is singular.
+    By Sylvester's law A and C have the negative eigenvalues of A - UU'. `NotDefinite` if C is
+    singular. The factor of A is by any package.
     """
 
-    def __init__(self, factor: SupernodalFactor, U: Vector) -> None:
-        self._factor, self.entries = factor, factor.entries
-        self._Y = factor.solve_columns(U)
-        C = np.eye(U.shape[1]) - U.T @ self._Y
-        values, vectors = np.linalg.eigh(C)
-        if not values.all():
+    def __init__(self, factor: Any, U: Vector) -> None:
+        self.of, self.entries = factor, factor.entries
+        self._Y = factor.solve_columns(np.asfortranarray(U))
+        product = U.T @ self._Y
+        values, vectors = np.linalg.eigh(np.eye(U.shape[1]) - product)
+        if np.abs(values).min(initial=np.inf) <= rounding(1.0 + np.abs(product).max(initial=0.0)):
             raise NotDefinite("the downdated matrix is singular")
-        self.negative = int(np.count_nonzero(values < 0.0))
+        self.negative = factor.negative + int(np.count_nonzero(values < 0.0))
         self._C_inverse = (vectors / values) @ vectors.T
 
     def solve(self, b: Vector) -> Vector:
         """Solve for a vector (n,)."""
-        return self._factor.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return self.of.solve(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
 
     def solve_columns(self, b: Vector) -> Vector:
         """Solve for the columns of a matrix (n, k) in Fortran order."""
-        return self._factor.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
+        return self.of.solve_columns(b) + self._Y @ (self._C_inverse @ (self._Y.T @ b))
 
     def between(self, unknowns: Numbers) -> Operator:
         """Return the inverse between some unknowns, for the rows of a matrix (k, b)."""
-        inverse, Y = self._factor.between(unknowns), self._Y[unknowns]
+        inverse, Y = self.of.between(unknowns), self._Y[unknowns]
         Y_C = Y @ self._C_inverse
         return lambda rows: inverse(rows) + (rows @ Y_C) @ Y.T

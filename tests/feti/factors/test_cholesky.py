@@ -203,6 +203,17 @@ def test_zero_diagonal_needs_pivots_of_order_two():
     np.testing.assert_allclose(factor.solve(np.array([1.0, 2.0])), [2.0, 1.0])
 
 
+@pytest.mark.parametrize("package", [p for p in available_packages() if p != "cholmod"])
+def test_unknowns_without_a_diagonal(package, monkeypatch):
+    """Lagrange multipliers: as many negative eigenvalues as there are."""
+    monkeypatch.setattr(cholesky, "_is_available", lambda name: name == package)
+    V = sp.random(N, 2, 0.3, random_state=0, format="csr")
+    A = sp.bmat([[definite(), V], [V.T, None]], format="csr")
+    factor, b = sparse_ldl(A), np.random.default_rng(1).standard_normal((N + 2, 3))
+    assert factor.negative == 2
+    np.testing.assert_allclose(factor.solve(b), np.linalg.solve(A.toarray(), b), rtol=1e-9)
+
+
 def test_singular_matrix_has_no_indefinite_factor():
     with pytest.raises(FactorizationError, match="of order 40 is singular"):
         sparse_ldl(sp.diags(np.arange(N) - 5.0, format="csr"))
