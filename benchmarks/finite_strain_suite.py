@@ -113,6 +113,15 @@ OWN_SPHERES = {
 }
 
 
+def _plain_problem(
+    bodies: scenes.Scene, u: fem.Function, nu: float, options: dict[str, Any]
+) -> CountedProblem:
+    """Return the problem of neo-Hookean bodies in the plane or in space."""
+    W = neo_hookean(bodies.young, nu)(u)
+    F = ufl.derivative(W * ufl.dx(metadata=DEGREE), u, bodies.v)
+    return CountedProblem(F, u, bcs=bodies.bcs, contacts=bodies.contacts, options=options)
+
+
 def ironing(**options: Any) -> Case:
     """Pose the ironing, mm-N-MPa: the die goes down by 1 up to t = 1, and along by 10 up to 2."""
     base, top, foot, head = 1, 2, 3, 4
@@ -136,8 +145,7 @@ def ironing(**options: Any) -> Case:
     bodies.fix(base)
     bodies.fix(head, None, motion)
     bodies.add_pair(foot, top, friction=Coulomb(0.3))
-    F = ufl.derivative(neo_hookean(bodies.young, 0.32)(u) * ufl.dx(metadata=DEGREE), u, bodies.v)
-    problem = CountedProblem(F, u, bcs=bodies.bcs, contacts=bodies.contacts, options=options)
+    problem = _plain_problem(bodies, u, 0.32, options)
 
     def set_load(way: float) -> None:
         """Move the head by a way: 1 down, and then along."""
@@ -231,8 +239,7 @@ def twist(**options: Any) -> Case:
     bodies.fix(base)
     bodies.fix(grip, None, motion)
     bodies.add_pair(cap, top, friction=Coulomb(0.5))
-    F = ufl.derivative(neo_hookean(bodies.young, 0.3)(u) * ufl.dx(metadata=DEGREE), u, bodies.v)
-    problem = CountedProblem(F, u, bcs=bodies.bcs, contacts=bodies.contacts, options=options)
+    problem = _plain_problem(bodies, u, 0.3, options)
 
     def set_load(load: float) -> None:
         angle, down = np.pi * max(load - 1.0, 0.0), 0.3 * min(load, 1.0)

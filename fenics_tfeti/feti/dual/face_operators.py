@@ -1,4 +1,4 @@
-"""What conjugate gradients need of a face: projector, preconditioner, loose bodies."""
+"""Operators on a face: projector, preconditioner and loose bodies."""
 
 from __future__ import annotations
 
