@@ -8,7 +8,8 @@ where E has the forces that turn with the surfaces and move along them, and fric
 its normal force. It couples the bodies, so no subdomain can have it. What the subdomains' tangents
 lack is in E, too: the skew part of those with pressures that follow the surface. Total FETI without
 E is the preconditioner M of flexible GMRES; vectors are forces at the surfaces, and gaps. E d is a
-difference of rows at u + eps d, of any kind of contact.
+difference of rows at u + eps d, of any kind of contact. Products are those of the state, so M may
+be that of projected tangents, or of an earlier step with the same face.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from fenics_tfeti.fem.contact.conditions.pairing import row_values
+from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep
@@ -34,7 +36,7 @@ from fenics_tfeti.typing import Vector
 # displacements by which rows are differenced, relative to the size of the mesh: those of the step
 # within these limits, as coverage has kinks where edges of surfaces lie on each other
 _SHORTEST, _LONGEST = 1e-9, 1e-7
-# accuracy of the face solves that precondition GMRES, whose products rely on it
+# accuracy of the face solves that precondition GMRES
 _INNER = 1e-3
 # face solves of a step
 _MOST = 12
@@ -63,27 +65,33 @@ class Correction:
 
 @dataclass(frozen=True)
 class ContactHessian:
-    """E on the face of a state, with what the tangents of a system lack of the exact ones."""
+    """The derivative on the face of a state, with M as the preconditioner of GMRES."""
 
     load_step: LoadStep
     displacement: Vector  # as of `NewtonState` [m]
     face: Face
-    linear: LinearProblem
     exact: Sequence[Subdomain]
-    used: Sequence[Subdomain]  # of the solver
+    base: Face  # of M
+    linear: LinearProblem  # M
+    used: Sequence[Subdomain]  # of M
 
     @cached_property
     def _force(self) -> tuple[Vector, Vector]:
         return self.face.rows.force(self.face.multipliers)
 
     def times(
-        self, change: Change, normal: Vector, begin: Sequence[Vector], length: float
+        self,
+        change: Change,
+        normal: Vector,
+        begin: Sequence[Vector],
+        length: float,
+        beyond: Vector,
     ) -> Vector:
-        """Return E d and E_g d as one vector, by rows at a distance [m]. Collective.
+        """Return K d + B'dP + E d and B d + E_g d as one vector, by rows at a distance [m].
 
-        Friction at its bound follows the changes of normal forces that are given.
-
-        Without displacement the bodies begin at their motions.
+        Friction at its bound follows the changes of normal forces that are given. Without
+        displacement the bodies begin at their motions. Beyond the nodes of the mesh the forces that
+        M balances are given, to which E is added. Collective.
         """
         load_step, face, nodes = self.load_step, self.face, self.load_step.torn.nodes
         bodies = face.rows.conditions.bodies
@@ -96,35 +104,40 @@ class ContactHessian:
         eps = length / (largest or 1.0)
         rows = load_step.rows_at(self.displacement + eps * increment, bodies, face.rows)
         forces = rows.force(self._multipliers_in(rows, eps * normal))
-        force, beyond = ((new - old) / eps for new, old in zip(forces, self._force, strict=True))
-        force = load_step.at_free(force + self._lacking(change.displacements), face.rows)
-        moved = [replace(f, motion=m) for f, m in zip(bodies.frames, motions, strict=True)]
-        free = replace(bodies, frames=moved).free_displacements(nodes.total)
-        contacts, tied = face.contacts, face.rows.tied
-        of_contacts = face.distances_of(rows) - self._gap
-        of_tied = rows.tied.gap / rows.tied.length - self._tied_gap
-        gap = -of_contacts / eps - row_values(nodes, contacts, d, free) / contacts.length
-        tied_gap = -of_tied / eps - row_values(nodes, tied, d, free) / tied.length
-        return self._flat(force, gap, tied_gap, beyond)
+        turned, turned_beyond = (
+            (new - old) / eps for new, old in zip(forces, self._force, strict=True)
+        )
+        pressed, lacking = self._of_changes(change.forces)
+        parts = [
+            s.stiffness_times(u) for s, u in zip(self.exact, change.displacements, strict=True)
+        ]
+        force = load_step.torn.sum_at_nodes(self.exact, parts) + pressed + turned
+        gap = (self._gap - face.distances_of(rows)) / eps
+        tied_gap = (self._tied_gap - rows.tied.gap / rows.tied.length) / eps
+        force = load_step.at_free(force, face.rows)
+        return self._flat(force, gap, tied_gap, beyond + turned_beyond + lacking)
+
+    def _moved(self, motions: Sequence[Vector]) -> RigidBodies:
+        """Return the bodies with other motions, and rotations as they are."""
+        bodies = self.face.rows.conditions.bodies
+        frames = [replace(f, motion=m) for f, m in zip(bodies.frames, motions, strict=True)]
+        return replace(bodies, frames=frames)
 
     def _multipliers_in(self, rows: DeformedRows, normal: Vector) -> Multipliers:
         """Return multipliers in other rows, with friction after changes of normal forces."""
         face, multipliers = self.face, self.face.multipliers
         changed = multipliers.normal.copy()
-        changed[face.rows.place] += normal / face.rows.contacts.length
+        changed[face.rows.place] += normal / self.base.rows.contacts.length
         at_bounds = rows.at_bounds(replace(multipliers, normal=changed))
         return replace(at_bounds, normal=multipliers.normal)
 
-    def _lacking(self, displacements: Sequence[Vector]) -> Vector:
-        """Return forces (owned, gdim) of the exact tangents less those used. Collective."""
-        torn = self.load_step.torn
-        parts = [
-            exact.stiffness_times(u) - used.stiffness_times(u)
-            if exact.stiffness is not used.stiffness
-            else np.zeros_like(u)
-            for exact, used, u in zip(self.exact, self.used, displacements, strict=True)
-        ]
-        return torn.sum_at_nodes(self.used, parts)
+    def _of_changes(self, forces: RowValues) -> tuple[Vector, Vector]:
+        """Return B'dP at the mesh's nodes, and beyond them what it has more than that of M."""
+        changes = self.base.changes_of(forces)
+        force, beyond = self.face.rows.force(changes)
+        if self.face.rows is self.base.rows:
+            return force, np.zeros_like(beyond)
+        return force, beyond - self.base.rows.force(changes)[1]
 
     @cached_property
     def _gap(self) -> Vector:
@@ -160,39 +173,44 @@ class ContactHessian:
     ) -> Correction:
         """Return the solution with E. Collective.
 
-        `first` is that without E, whose residual is reduced by `rtol`, or to negligible forces [N].
-        What is left of it is relative to the larger of its first value and the right-hand side,
-        with the forces at nodes and beyond that the step balances.
+        `first` is that of M. Its residual is reduced to `rtol` of the right-hand side at the mesh's
+        nodes, or to negligible forces [N]. What is left of it is relative to the larger of its
+        first value and that right-hand side, with the forces at nodes and beyond that the step
+        balances.
         """
         right = self._flat(balance[0], self._gap, self._tied_gap, balance[1])
         torn, conditions = self.load_step.torn, self.face.rows.conditions
-        size = largest_of_ranks(torn.nodes.comm, np.abs(torn.at_owned_nodes(first.displacements)))
-        extent = self.load_step.rounding.extent
+        largest = np.abs(torn.at_owned_nodes(first.displacements))
+        size, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_step.rounding.extent
         length = min(max(size, _SHORTEST * extent), _LONGEST * extent)
         at_rest = conditions.motions_after([np.zeros(s.size) for s in self.used])
         # the forces of other rows are those of `first` already
         rows = self.face.held.size
         changes = np.where(self.face.held, first.forces.normal[:rows], 0.0)
-        left_out = self.times(first, changes, conditions.bodies.motions, length)
-        beta, products = self._space.norm(left_out), 0
+        begin, products = conditions.bodies.motions, 0
+        residual = right - self.times(first, changes, begin, length, balance[1])
 
         def step(v: Vector) -> tuple[tuple[Change, Vector], Vector]:
             nonlocal products
-            solution = self.linear.approximate(self._data(v), _INNER)
+            data, beyond = self._data(v)
+            solution = self.linear.approximate(data, _INNER)
             products += solution.products
             change = Change(solution.displacements, solution.forces)
-            image = v + self.times(change, change.forces.normal[:rows], at_rest, length)
-            return (change, v), image
+            normal = change.forces.normal[:rows]
+            return (change, v), self.times(change, normal, at_rest, length, beyond)
 
-        tolerance = max(rtol * beta, negligible)
-        parts, y, left = gmres(step, -left_out, self._space, tolerance=tolerance, max_it=_MOST)
+        # what bodies carry is mostly balanced by their loads and supports
+        at_nodes = self._flat(balance[0], self._gap, self._tied_gap, np.zeros_like(balance[1]))
+        beta, size = self._space.norm(residual), self._space.norm(at_nodes)
+        tolerance = max(rtol * size, negligible)
+        parts, y, left = gmres(step, residual, self._space, tolerance=tolerance, max_it=_MOST)
         if not parts:
             return Correction(first)
         added, given = parts[0][0].plus(float(y[0]) - 1.0, parts[0][0]), y[0] * parts[0][1]
         for factor, (change, v) in zip(y[1:], parts[1:], strict=True):
             added, given = added.plus(float(factor), change), given + factor * v
-        left /= max(beta, self._space.norm(right), negligible)
-        curvature = self._curvature(-left_out, given, added)
+        left /= max(beta, size, negligible)
+        curvature = self._curvature(residual, given, added)
         return Correction(first.plus(1.0, added), len(parts), products, left, added, curvature)
 
     def _curvature(self, right: Vector, given: Vector, added: Change) -> float:
@@ -202,19 +220,43 @@ class ContactHessian:
         distances which their solutions are given. Without these d is in the null space of the rows,
         where alone the sign says something; so their work counts as positive.
         """
-        jumps, forces = self._data(given).jumps, added.forces
-        pairs = zip(self._data(right).loads, added.displacements, strict=True)
+        jumps, forces = self._data(given)[0].jumps, added.forces
+        pairs = zip(self._data(right)[0].loads, added.displacements, strict=True)
         work = sum(float(load @ d) for load, d in pairs)
         of_rows = float(jumps.normal @ forces.normal + jumps.tied @ forces.tied)
         comm = self.load_step.torn.nodes.comm
         work, of_rows = comm.allreduce(np.array([work, of_rows])).tolist()
         return work + abs(of_rows)
 
-    def _data(self, v: Vector) -> LinearData:
-        """Return loads and jumps of a vector. Collective."""
+    def first(self, balance: tuple[Vector, Vector], rtol: float) -> tuple[Change, int]:
+        """Return the solution of M of the present loads and gaps, and its products. Collective."""
+        data, _ = self._data(self._flat(balance[0], self._gap, self._tied_gap, balance[1]))
+        total = self.load_step.torn.nodes.total
+        loads = [
+            load if s.nodes[0] < total else load + s.load
+            for s, load in zip(self.exact, data.loads, strict=True)
+        ]
+        solution = self.linear.approximate(replace(data, loads=loads), rtol)
+        return Change(solution.displacements, solution.forces), solution.products
+
+    def gaps_after(self, change: Change) -> Vector:
+        """Return the gaps (k,) of the contact rows after a change, to first order. Collective."""
+        conditions, nodes = self.face.rows.conditions, self.load_step.torn.nodes
+        d = self.load_step.torn.at_owned_nodes(change.displacements)
+        pairs = zip(
+            conditions.bodies.motions, conditions.motions_after(change.displacements), strict=True
+        )
+        moved = self._moved([end - begin for begin, end in pairs])
+        rows, free = self.face.rows.contacts, moved.free_displacements(nodes.total)
+        return (rows.gap - row_values(nodes, rows, d, free)) / rows.length
+
+    def _data(self, v: Vector) -> tuple[LinearData, Vector]:
+        """Return loads and jumps of a vector, and forces beyond the mesh. Collective."""
         torn, unit = self.load_step.torn, self.load_step.slip_stiffness
         force, gap, tied_gap, beyond = np.split(v, np.cumsum(self._sizes[:-1]))
         shape = -1, torn.nodes.components
-        loads = torn.spread(self.used, force.reshape(shape), beyond.reshape(shape))
+        beyond = beyond.reshape(shape)
+        loads = torn.spread(self.used, force.reshape(shape), beyond)
         none = RowValues.zeros(self.linear.system)
-        return LinearData(loads, replace(none, normal=gap / unit, tied=tied_gap / unit), none)
+        jumps = replace(none, normal=gap / unit, tied=tied_gap / unit)
+        return LinearData(loads, jumps, none), beyond

@@ -24,9 +24,18 @@ from fenics_tfeti.fem.displacement import fill_displacement, owned_values
 from fenics_tfeti.fem.newton.equilibrium import Multipliers
 from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
-from fenics_tfeti.feti import TangentKind, Timer, TornSolution, TornSolver, prepare_tangents
+from fenics_tfeti.feti import (
+    TangentKind,
+    Timer,
+    TornSolution,
+    TornSolver,
+    interruption,
+    prepare_tangents,
+)
 from fenics_tfeti.feti.coarse.free_motions import describe_free_motions
+from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tangents import has_small_strains, have_symmetric_tangents
+from fenics_tfeti.frozen_setup import FrozenSetup
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -34,9 +43,11 @@ from fenics_tfeti.typing import Numbers, Vector
 Monitor = Callable[[Any], None]
 
 # accuracy of GMRES relative to the residual of Newton's method, and its limits
-_FORCING, _LOOSEST, _TIGHTEST = 10.0, 0.1, 1e-3
+_FORCING, _LOOSEST, _TIGHTEST = 0.3, 0.1, 1e-5
 # part of its residual that GMRES may leave
 _FAILED = 0.1
+# face solves of a step, with what a frozen set-up lacks, above which it is made anew
+_SLOW = 8
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 # the remedy for steps that fail
@@ -69,8 +80,8 @@ class NewtonStep:
     products : int
         Applications of F.
     corrections : int
-        Further solutions on the face of the pressing conditions, for contact forces that turn and
-        move with the surfaces.
+        Solutions on the face of the pressing conditions, for contact forces that turn and move with
+        the surfaces, and all of a step that takes the set-up of an earlier one.
     negative : int
         Directions of negative energy of the torn subdomains, which deflation removes.
     seconds : float
@@ -103,7 +114,7 @@ class _LinearisedStep:
 
     face: Face
     corrected: Correction
-    first: TornSolution  # without the Hessian of contact
+    first: TornSolution  # of the set-up's problem, without the Hessian of contact
 
     def multipliers(self, part: float) -> Multipliers:
         """Return the forces after a part of the step."""
@@ -123,6 +134,7 @@ class NewtonIteration:
         self.solver = last
         self.steps: list[NewtonStep] = []
         self._increment = Function(load_step.torn.space)
+        self._frozen: FrozenSetup | None = None
         self._least = 0.0  # force that residuals are relative to [N]
         # nodes whose contact changed in the last step, and also in the one before
         self._changed = self._alternating = np.zeros(0, dtype=bool)
@@ -178,7 +190,7 @@ class NewtonIteration:
                 new.equilibrium.friction,
                 length,
                 int(torn.nodes.comm.allreduce(np.count_nonzero(pressing))),
-                report.products["total"] + corrected.products,
+                corrected.products,
                 corrected.solves,
                 report.deflation["negative"],
                 0.0,
@@ -214,6 +226,8 @@ class NewtonIteration:
         options = self._options
         has_settled = not any_rank(self._load_step.torn.nodes.comm, self._changed)
         face = self._load_step.face_of(state, has_settled)
+        if (step := self._solve_again(face, state)) is not None:
+            return step
         on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
         if options.tangent != "projected":
             with suppress(UnstableTangent):
@@ -229,6 +243,30 @@ class NewtonIteration:
         assert step is not None
         return step
 
+    def _solve_again(self, face: Face, state: NewtonState) -> _LinearisedStep | None:
+        """Solve the linearised problem with the last set-up, if that is good for it. Collective."""
+        interruption.check(self._load_step.torn.nodes.comm)
+        frozen, self._frozen = self._frozen, None
+        is_whole = bool(self.steps) and self.steps[-1].length == 1.0
+        if frozen is None or not is_whole or not frozen.serves(self._load_step, face):
+            return None
+        accuracy = self._options.solver.rtol, *self._accuracy(state)
+        corrected = None
+        # rows may have no values near the state
+        with suppress(InputError, NotConverged):
+            corrected = frozen.corrected(self._load_step, state, face, accuracy)
+        if corrected is None or corrected.left > _FAILED:
+            return None
+        if corrected.solves <= _SLOW:
+            self._frozen = frozen
+        return _LinearisedStep(face, corrected, frozen.solution)
+
+    def _accuracy(self, state: NewtonState) -> tuple[float, float]:
+        """Return the part of its residual that GMRES leaves, and negligible forces [N]."""
+        end = state.equilibrium
+        rtol = max(min(_LOOSEST, _FORCING * end.residual), _TIGHTEST)
+        return rtol, 0.1 * self._options.newton_rtol * end.force
+
     def _solve_on(
         self,
         face: Face,
@@ -236,10 +274,14 @@ class NewtonIteration:
         tangent: TangentKind,
         monitor: Monitor | None,
         is_last: bool = False,
+        known: tuple[TornSystem, TornSystem] | None = None,
     ) -> _LinearisedStep | None:
-        """Solve the linearised problem; None where another one should be tried. Collective."""
+        """Solve the linearised problem; None where another one should be tried. Collective.
+
+        The system on another face of the state, and the one with its tangents, may be known.
+        """
         load_step, options = self._load_step, self._options
-        if self.solver is not None:
+        if self.solver is not None and known is None:
             self.solver.release()
         system = load_step.torn.system_at(load_step.u, face, has_small_strains)
         force, beyond = load_step.out_of_balance(state, face)
@@ -253,7 +295,7 @@ class NewtonIteration:
                 for s, load in zip(system.subdomains, added, strict=True)
             ],
         )
-        prepared = prepare_tangents(system, tangent)
+        prepared = prepare_tangents(system, tangent, known)
         solver = replace(options.solver, error_if_not_converged=False)
         self.solver = TornSolver(prepared, solver, self._timer, self.solver)
         self.solution = solution = self.solver.solve(monitor)
@@ -261,29 +303,35 @@ class NewtonIteration:
             return None
         comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
-            return self._solve_on(face.without(pulling), state, tangent, monitor, is_last)
-        corrected = without = Correction(Change.of(solution))
+            face, known = face.without(pulling), (system, prepared)
+            return self._solve_on(face, state, tangent, monitor, is_last, known)
+        products = solution.report.products["total"]
+        corrected = without = Correction(Change.of(solution), products=products)
         # forces of ties and bolts turn with them, too, and pressures follow the surface
         lacks = face.held.any() or face.rows.tied.size > 0
         lacks = lacks or not have_symmetric_tangents(system.subdomains)
         if any_rank(comm, [lacks]):
+            linear = self.solver.linear_problem()
             hessian = ContactHessian(
                 load_step,
                 state.displacement,
                 face.with_free_forces(corrected.change.forces, solution.sticking),
-                self.solver.linear_problem(),
                 system.subdomains,
+                face,
+                linear,
                 prepared.subdomains,
             )
-            negligible = 0.1 * options.newton_rtol * state.equilibrium.force
-            rtol = max(min(_LOOSEST, _FORCING * state.equilibrium.residual), _TIGHTEST)
             # rows may have no values near the state
             with suppress(InputError, NotConverged):
-                corrected = hessian.corrected(without.change, (force, beyond), rtol, negligible)
+                corrected = hessian.corrected(
+                    without.change, (force, beyond), *self._accuracy(state)
+                )
+                corrected = replace(corrected, products=products + corrected.products)
             if corrected is without or corrected.left > _FAILED:
                 if not is_last:
                     return None
                 corrected = without
+            self._frozen = FrozenSetup(face, linear, prepared.subdomains, solution)
             # near its end Newton's method goes to the equilibrium that is there
             is_far = state.equilibrium.residual > _LOOSEST / _FORCING
             if tangent == "projected" and is_far:

@@ -46,9 +46,9 @@ class NonlinearReport(ContactReport):
     ----------
     newton : list of NewtonStep
         One entry for each Newton step; products, history and certificate of the report are those of
-        the last one, its seconds those of all. Forces are those after the last step, in equilibrium
-        with `u` as far as its residual says. Among `free_motions` are those that only the tilt of
-        deformed surfaces resists.
+        the last one with a set-up of its own, its seconds those of all. Forces are those after the
+        last step, in equilibrium with `u` as far as its residual says. Among `free_motions` are
+        those that only the tilt of deformed surfaces resists.
     """
 
     newton: list[NewtonStep] = field(default_factory=list)

@@ -204,6 +204,10 @@ class TornProblem:
             friction,
         )
 
+    def tangents(self, conditions: ContactSet) -> list[Subdomain]:
+        """Return the subdomains with the present tangents and bodies. Collective."""
+        return [*self.torn.assemble(), *conditions.added_subdomains(self.bodies.deformable)]
+
     def system_at(
         self, u: Function, face: Face, has_small_strains: Callable[[Subdomain], bool]
     ) -> TornSystem:

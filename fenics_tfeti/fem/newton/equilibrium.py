@@ -176,7 +176,8 @@ class Multipliers:
     @staticmethod
     def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
         """Return those of a solution for the rows."""
-        forces = solution.normal_force, solution.tangential_force, solution.tied_force
+        normal = np.maximum(solution.normal_force, 0.0)
+        forces = normal, solution.tangential_force, solution.tied_force
         return Multipliers.at_rows(rows, *forces, ~solution.sticking)
 
     @staticmethod
@@ -186,7 +187,7 @@ class Multipliers:
         """Return those of forces at contact rows, at sites along their tangents, and of ties."""
         new, length, site = Multipliers.none(rows), rows.contacts.length, rows.friction.row
         place = rows.place[site]
-        new.normal[rows.place] = np.maximum(normal, 0.0) / length
+        new.normal[rows.place] = normal / length
         new.tangential[place] = np.einsum(
             "kt,kta->ka", tangential / length[site, None], rows.friction.tangents
         )

@@ -100,6 +100,31 @@ class Face:
         known = Multipliers.at_rows(rows, normal, tangential, multipliers.tied, slipping)
         return replace(self, multipliers=known)
 
+    def is_that_of(self, other: Face) -> bool:
+        """Tell whether another state has the same rows, and the same of them hold; on this rank."""
+        pairs = [
+            (face.rows.place, face.rows.friction.row, face.held, face.sticks, face.free)
+            for face in (self, other)
+        ]
+        return all(map(np.array_equal, *pairs)) and self.rows.tied.size == other.rows.tied.size
+
+    def changes_of(self, forces: RowValues) -> Multipliers:
+        """Return changes of the forces at `contacts`, free sites and ties, at their nodes."""
+        rows, shape = self.rows, self.rows.friction.tangents.shape[:2]
+        normal, of_sticking = np.split(forces.normal, [rows.contacts.size])
+        tangential = np.zeros(shape)
+        tangential[self.free] = forces.tangential
+        tangential[self.sticks] = of_sticking.reshape(-1, shape[1])
+        no = np.zeros(rows.friction.size, dtype=bool)
+        return Multipliers.at_rows(rows, normal, tangential, forces.tied, no)
+
+    def forces_of(self, changes: Multipliers) -> RowValues:
+        """Return the forces at `contacts`, free sites and ties of changes at their nodes."""
+        tangential = self.rows.friction_forces(changes)
+        normal = self.rows.normal_forces(changes)
+        normal = np.append(normal, tangential[self.sticks].ravel())
+        return RowValues(normal, tangential[self.free], changes.tied)
+
     def pulling(self, changes: Vector) -> Mask:
         """Tell which held rows would pull after changes of the forces at `contacts`."""
         forces = self.rows.normal_forces(self.multipliers) + changes[: self.held.size]

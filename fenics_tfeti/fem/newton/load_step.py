@@ -123,8 +123,11 @@ class LoadStep:
 
     def face_of(self, state: NewtonState, has_settled: bool = False) -> Face:
         """Return the face of a state, whose pressing nodes may have settled. Collective."""
-        negligible = self.rounding.length(self._size(state))
-        return Face.of(state.rows, state.multipliers, negligible, has_settled)
+        return Face.of(state.rows, state.multipliers, self.negligible_length(state), has_settled)
+
+    def negligible_length(self, state: NewtonState) -> float:
+        """Return the distance that rounding of coordinates leaves [m]. Collective."""
+        return self.rounding.length(self._size(state))
 
     def out_of_balance(self, state: NewtonState, face: Face) -> tuple[Vector, Vector]:
         """Return the forces (owned, gdim) and beyond the mesh that a step balances. Collective."""

@@ -1,0 +1,68 @@
+"""A set-up that serves further Newton steps while the same conditions hold.
+
+Factors, coarse problem and deflation are those of the tangents and rows of an earlier step. GMRES
+has what these lack of the present ones, as it has the Hessian of contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fenics_tfeti.contact_hessian import ContactHessian, Correction
+from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
+from fenics_tfeti.feti import Subdomain, TornSolution
+from fenics_tfeti.feti.solution.linear import LinearProblem
+from fenics_tfeti.parallel import any_rank
+
+
+@dataclass(frozen=True)
+class FrozenSetup:
+    """The linear problem on the face of an earlier step of the same load step."""
+
+    face: Face
+    linear: LinearProblem
+    used: Sequence[Subdomain]  # with the tangents of the factors
+    solution: TornSolution  # of the step
+
+    def serves(self, load_step: LoadStep, face: Face) -> bool:
+        """Tell whether the same conditions hold, and no other force is unknown. Collective."""
+        contacts = self.face.held.size
+        is_other = not self.face.is_that_of(face)
+        is_other = is_other or not np.array_equal(self.linear.active[:contacts], self.face.held)
+        is_other = is_other or bool((face.friction.bound > 0.0).any())
+        return not any_rank(load_step.torn.nodes.comm, [is_other])
+
+    def corrected(
+        self,
+        load_step: LoadStep,
+        state: NewtonState,
+        face: Face,
+        accuracy: tuple[float, float, float],
+    ) -> Correction | None:
+        """Solve the linearised problem of a state with the same face. Collective.
+
+        The accuracy is that of the first solution, the part of its residual that may be left, and
+        negligible forces [N]. None where other conditions would hold after the step, or where the
+        energy has a maximum along what GMRES adds, as at equilibria that are not stable.
+        """
+        torn, (first_rtol, rtol, negligible) = load_step.torn, accuracy
+        balance = load_step.out_of_balance(state, face)
+        exact = torn.tangents(face.rows.conditions)
+        hessian = ContactHessian(
+            load_step, state.displacement, face, exact, self.face, self.linear, self.used
+        )
+        first, products = hessian.first(balance, first_rtol)
+        corrected = hessian.corrected(first, balance, rtol, negligible)
+        forces = face.forces_of(self.face.changes_of(corrected.change.forces))
+        change = replace(corrected.change, forces=forces)
+        # as far as rounding of coordinates goes
+        closed = hessian.gaps_after(change) < -load_step.negligible_length(state)
+        differ = (closed & ~face.held) | face.pulling(forces.normal)
+        if any_rank(torn.nodes.comm, differ) or corrected.curvature < 0.0:
+            return None
+        products += corrected.products
+        return replace(corrected, change=change, solves=1 + corrected.solves, products=products)
