@@ -42,8 +42,8 @@ from fenics_tfeti.typing import Numbers, Vector
 
 Monitor = Callable[[Any], None]
 
-# accuracy of GMRES relative to the residual of Newton's method, and its limits
-_FORCING, _LOOSEST, _TIGHTEST = 0.3, 0.1, 1e-5
+# accuracy of GMRES, by the residual of Newton's method, and its limits
+_FORCING, _LOOSEST, _TIGHTEST = 0.3, 0.01, 1e-5
 # part of its residual that GMRES may leave
 _FAILED = 0.1
 # face solves of a step, with what a frozen set-up lacks, above which it is made anew
