@@ -35,8 +35,8 @@ def test_as_many_steps_as_with_the_whole_tangent(make, degree):
     np.testing.assert_allclose(scene.u.x.array, expected, atol=1e-7)
     newton = scene.problem.report.newton
     assert len(newton) <= steps + 1
-    # together, the tangents of the tube are symmetric
-    assert any(step.corrections for step in newton) == (make is strip)
+    # together, the tangents of the tube are symmetric; later steps take the set-up of the first
+    assert (newton[0].corrections > 0) == (make is strip)
 
 
 @pytest.mark.ranks
@@ -51,7 +51,7 @@ def test_seal_that_contact_alone_holds():
         scene.problem.solve()
         scene.problem.advance()
     # subdomains have the whole tangent, which together is symmetric
-    assert all(step.corrections <= 1 for step in scene.problem.report.newton[-3:])
+    assert scene.problem.report.newton[0].corrections <= 3
     floor, lid, wall = (result.force for result in scene.problem.results)
     assert wall[0] == pytest.approx(-0.85 * 30e6, rel=1e-6)
     assert lid[1] == pytest.approx(-floor[1], rel=1e-6)
