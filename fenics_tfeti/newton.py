@@ -44,6 +44,8 @@ Monitor = Callable[[Any], None]
 
 # accuracy of GMRES, by the residual of Newton's method, and its limits
 _FORCING, _LOOSEST, _TIGHTEST = 0.3, 0.01, 1e-5
+# residual above which a step turns away from equilibria that are not stable
+_FAR = 0.01
 # part of its residual that GMRES may leave
 _FAILED = 0.1
 # face solves of a step, with what a frozen set-up lacks, above which it is made anew
@@ -333,7 +335,7 @@ class NewtonIteration:
                 corrected = without
             self._frozen = FrozenSetup(face, linear, prepared.subdomains, solution)
             # near its end Newton's method goes to the equilibrium that is there
-            is_far = state.equilibrium.residual > _LOOSEST / _FORCING
+            is_far = state.equilibrium.residual > _FAR
             if tangent == "projected" and is_far:
                 corrected = corrected.downhill()
         free = describe_free_motions(system, solution.active, solution.sticking)
