@@ -45,8 +45,6 @@ ALL_TO_ALL, COLLECTIVE, WHOLE_VECTORS, CALLS = 35, 283, 11, 60
 GATHERED = 2064, 12_093, 129, 279
 # Bytes kept on every rank for each subdomain of all: coarse vectors and motions of bodies
 WHOLE = 508
-# GAMG: seconds a subdomain of a solve and of its set-up; iterations, exchanges of each
-MULTIGRID, MULTIGRID_SET_UP, MULTIGRID_ITERATIONS, MULTIGRID_EXCHANGES = 1.5e-4, 4.4e-4, 26, 25
 # Seconds of interpreted code on a rank for each product with F: of F and M, of all in a solve
 OVERHEAD, OVERHEAD_OF_SOLVE = 1e-4, 4e-3
 # MUMPS: seconds of a factorisation of this size, which grow with its square beyond
@@ -157,13 +155,6 @@ class Model:
         return float(rounds + coarse._MESSAGES * (groups - 1) + in_groups)
 
     @property
-    def multigrid(self) -> float:
-        """Seconds of the two solves of an iteration with conjugate gradients and GAMG."""
-        messages = MULTIGRID_EXCHANGES * NEIGHBOURS + REDUCTIONS * np.log2(self.ranks)
-        iterations = MULTIGRID_ITERATIONS * messages * MESSAGE
-        return COARSE_SOLVES * (self.own * MULTIGRID + float(iterations))
-
-    @property
     def face(self) -> float:
         """Seconds of the messages of a face."""
         return self.collective(CALLS + WHOLE_VECTORS, WHOLE_VECTORS * 8 * self.size)
@@ -187,7 +178,6 @@ class Model:
         local = set_up + ITERATIONS * iteration
         messages = self.set_up_messages + FACES * self.face + ITERATIONS * self.messages
         with_mumps = FACES * self.factorisation + ITERATIONS * self.mumps
-        with_gamg = FACES * self.own * MULTIGRID_SET_UP + ITERATIONS * self.multigrid
         return {
             "H/h": self.n,
             "subdomains": round(self.subdomains),
@@ -198,7 +188,6 @@ class Model:
             "iteration ms": 1e3 * iteration,
             "messages ms": 1e3 * self.messages,
             "MUMPS ms": 1e3 * self.mumps,
-            "GAMG ms": 1e3 * self.multigrid,
             "face messages s": self.face,
             "Q": self.groups,
             "face MUMPS s": self.factorisation,
@@ -206,7 +195,6 @@ class Model:
             "GB whole": WHOLE * self.subdomains / 1e9,
             "GB factor": self.mumps_bytes / 1e9,
             "solve MUMPS s": local + messages + with_mumps,
-            "solve GAMG s": local + messages + with_gamg,
         }
 
 

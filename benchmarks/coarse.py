@@ -3,7 +3,7 @@
     mpirun -n 4 python benchmarks/run.py coarse [--subdomains-per-metre 3 5 7] [--json out.json]
 
 Every second contact row is on the face. Redundant on every rank with CHOLMOD; distributed over some
-of the ranks with MUMPS; iterative with GAMG. Processor time and time of the clock. The calls of
+of the ranks with MUMPS. Processor time and time of the clock. The calls of
 MUMPS are counted if `count_calls.so` (see `count_calls.c`) is preloaded: mpirun -x LD_PRELOAD=...
 """
 
@@ -104,9 +104,7 @@ def measure(m: int, solver: str, groups: int) -> dict[str, Any]:
     }
 
 
-def run(
-    subdomains_per_metre=(2, 3, 5, 7), groups=0, solvers=("redundant", "distributed", "iterative")
-):
+def run(subdomains_per_metre=(2, 3, 5, 7), groups=0, solvers=("redundant", "distributed")):
     """Factor and solve for each size; `groups` ranks share a factor, by default as counted."""
     for solver, m in itertools.product(solvers, subdomains_per_metre):
         yield measure(m, solver, groups)

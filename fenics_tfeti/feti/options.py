@@ -46,9 +46,9 @@ class Options:
         congruent subdomains; auto counts the bytes that either moves.
     factor : {"auto", "cholmod", "rslab", "mumps"}
         Package of the sparse Cholesky factors; auto takes the first that is available.
-    coarse_solver : {"auto", "redundant", "distributed", "iterative"}
-        Factors of coarse matrices on every rank, or shared by some ranks with MUMPS, of which auto
-        takes the one that moves less; or conjugate gradients with algebraic multigrid.
+    coarse_solver : {"auto", "redundant", "distributed"}
+        Factors of coarse matrices on every rank, or shared by some ranks with MUMPS; auto takes the
+        one that moves less.
     deflation : {"auto", "on", "off"}
         Deflation of the directions in which subdomains make F large: of slender subdomains and
         those on whose interface the material jumps (with weights of stiffness), of all, or of none

@@ -1,8 +1,7 @@
-"""The coarse problem on several ranks: redundant, distributed and iterative, to equal results."""
+"""The coarse problem on several ranks: redundant and distributed, to equal results."""
 
 from __future__ import annotations
 
-import logging
 from functools import lru_cache
 
 from mpi4py import MPI
@@ -16,7 +15,7 @@ from torn import column
 
 from fenics_tfeti.errors import FactorizationError
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
+from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky
 from fenics_tfeti.feti.coarse.face_cache import FaceCache
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.face import Face
@@ -25,7 +24,7 @@ from fenics_tfeti.report import ContactReport
 
 comm = MPI.COMM_WORLD
 pytestmark = pytest.mark.ranks(2, 3)
-KINDS = ("redundant", "distributed", "iterative")
+KINDS = ("redundant", "distributed")
 SCENES = {
     "beams": lambda: two_beams(comm, "tetrahedron", 3),
     "materials": lambda: two_materials(comm, "hexahedron", 2),
@@ -129,26 +128,6 @@ def test_workspace_of_mumps_is_increased_where_it_is_too_small(monkeypatch):
     monkeypatch.setattr(cholesky, "_WORKSPACES", (-90, 100))
     x = cholesky.DistributedCholesky(comm, matrix[own]).solve((matrix @ np.ones(n))[own])
     np.testing.assert_allclose(x, 1.0, atol=1e-12)
-
-
-def test_singular_matrix_is_an_error_of_the_iterations():
-    rows = sp.diags(np.where(np.arange(2 * comm.size) == 1, 0.0, 1.0), format="csr")
-    solver = MultigridSolver(comm, own_rows(rows), np.ones((2, 1)), 1, 1)
-    with pytest.raises(FactorizationError, match="not positive definite"):
-        solver.solve(np.ones(2))
-
-
-def test_iterations_that_do_not_converge_are_replaced_by_a_factor(caplog):
-    n = 100 * comm.size
-    random = np.random.default_rng(0)
-    X = np.linalg.qr(random.standard_normal((n, n)))[0]
-    matrix = sp.csr_matrix(X @ np.diag(np.logspace(0, 7, n)) @ X.T)
-    x, own = random.standard_normal(n), slice(100 * comm.rank, 100 * comm.rank + 100)
-    solver = MultigridSolver(comm, matrix[own], np.ones((100, 1)), 1, 1)
-    with caplog.at_level(logging.INFO, "fenics_tfeti"):
-        found = solver.solve((matrix @ x)[own])
-    np.testing.assert_allclose(found, x[own], atol=1e-6)
-    assert comm.rank or "no convergence in 200 iterations" in caplog.text
 
 
 def test_faces_are_known_again_on_all_ranks_or_on_none():

@@ -36,8 +36,8 @@ def test_products_do_not_depend_on_the_jump(preconditioner, pressed):
 
 @pytest.mark.parametrize(("pressed", "options"), [
     (False, {"method": "smalbe"}),
-    (True, {"coarse_solver": "iterative"}),
-], ids=["clamped, smalbe", "pressed, iterative"])  # fmt: skip
+    (True, {"coarse_solver": "distributed"}),
+], ids=["clamped, smalbe", "pressed, distributed"])  # fmt: skip
 def test_other_methods_converge(pressed, options):
     assert solution(JUMP, pressed, **options).report.converged
 

@@ -6,7 +6,7 @@ sides are sums of the ranks' parts, and a rank needs only its own subdomains' pa
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -15,12 +15,12 @@ from mpi4py import MPI
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky, MultigridSolver
+from fenics_tfeti.feti.coarse.by_rows import AgglomeratedCholesky
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
 from fenics_tfeti.parallel import all_to_all, concatenate_buffers, largest_of_ranks
 from fenics_tfeti.typing import Numbers, Vector
 
-CoarseSolverKind = Literal["auto", "redundant", "distributed", "iterative"]
+CoarseSolverKind = Literal["auto", "redundant", "distributed"]
 
 # Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
 # entries of the factor / size^1.5
@@ -164,23 +164,15 @@ class CoarseLayout:
         more = sp.csr_matrix((diagonal[kept], (kept - begin, kept)), shape=rows.shape)
         return (rows + more).tocsr()
 
-    def factor(
-        self, rows: sp.csr_matrix, motions_for_multigrid: Callable[[], tuple[Vector, int]]
-    ) -> CoarseFactor:
+    def factor(self, rows: sp.csr_matrix) -> CoarseFactor:
         """Factor a symmetric positive definite matrix, given the rows that this rank keeps.
 
-        Multigrid methods ask for the motions (own, k) of whole bodies, and the number of modes of a
-        subdomain, 1 if it is not the same for all. Collective.
+        Collective.
         """
-        solver: AgglomeratedCholesky | MultigridSolver
         if self.solver == "redundant" or not self.size:
             whole = sparse_cholesky(rows.tocsr(), self.package, quick=True) if self.size else None
             return CoarseFactor(self, whole)
-        if self.solver == "iterative":
-            solver = MultigridSolver(self.comm, rows, *motions_for_multigrid(), self.groups)
-        else:
-            solver = AgglomeratedCholesky(self.comm, rows, self.groups)
-        return CoarseFactor(self, solver, by_rows=True)
+        return CoarseFactor(self, AgglomeratedCholesky(self.comm, rows, self.groups), by_rows=True)
 
 
 @dataclass(frozen=True)

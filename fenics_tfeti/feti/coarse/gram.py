@@ -49,9 +49,7 @@ class GramInverse:
         layout, columns = coarse_space.layout, coarse_space.columns(face)
         gram = coarse_space.equality + layout.rows((columns[layout.own] @ columns.T).tocsr())
         pins = _pins(coarse_space, gram, free, single, weak)
-        factor = layout.factor(
-            layout.add_to_diagonal(gram, pins), coarse_space.motions_for_multigrid
-        )
+        factor = layout.factor(layout.add_to_diagonal(gram, pins))
         dual_layout = coarse_space.constraints.layout
         none = np.zeros((layout.size, 0)), np.zeros((dual_layout.numbers.size, 0))
         inverse = GramInverse(dual_layout, factor, *none)

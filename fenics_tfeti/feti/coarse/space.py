@@ -257,17 +257,6 @@ class CoarseSpace:
         """Return the coarse vectors of motions z of bodies, sparse if these are."""
         return self.bodies.basis @ z
 
-    def motions_for_multigrid(self) -> tuple[Vector, int]:
-        """Return this rank's rows of the motions of all bodies together, and modes of a subdomain.
-
-        The modes are 1 where their number is not the same for all subdomains. Collective.
-        """
-        modes = self.bodies.modes
-        together = sp.vstack([sp.identity(modes)] * len(self.bodies.supports))
-        same = all(R.shape[1] == modes for R in self.kernels)
-        motions: Vector = (self.bodies.basis[self.layout.own] @ together).toarray()
-        return motions, modes if self.comm.allreduce(same, MPI.LAND) else 1
-
     def moved_rows(self, z: Vector) -> Vector:
         """Return B R T z on the rows that this rank holds, without traces of rounding.
 

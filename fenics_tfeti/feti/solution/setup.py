@@ -450,6 +450,6 @@ def choose_factor(options: Options) -> str:
     `FactorizationError` is raised if it is not available, or if MUMPS is needed for the coarse
     problem and missing.
     """
-    if options.coarse_solver in ("distributed", "iterative"):
+    if options.coarse_solver == "distributed":
         choose_package("mumps")
     return choose_package(options.factor)

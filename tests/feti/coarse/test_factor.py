@@ -25,14 +25,12 @@ def test_few_of_many_ranks_share_a_factor():
     assert groups[-1] < 1000
 
 
-@pytest.mark.parametrize("solver", ["distributed", "iterative"])
-def test_a_missing_mumps_is_an_error(solver, monkeypatch):
+def test_a_missing_mumps_is_an_error(monkeypatch):
     monkeypatch.setattr(cholesky, "_is_available", lambda name: name == "cholmod")
     with pytest.raises(FactorizationError, match="'mumps'"):
-        choose_factor(Options(coarse_solver=solver))
+        choose_factor(Options(coarse_solver="distributed"))
 
 
-@pytest.mark.parametrize("solver", ["distributed", "iterative"])
-def test_on_one_rank(solver):
-    report = TornSolver(column(), Options(coarse_solver=solver)).solve().report
+def test_on_one_rank():
+    report = TornSolver(column(), Options(coarse_solver="distributed")).solve().report
     assert report.converged
