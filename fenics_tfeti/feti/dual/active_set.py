@@ -50,7 +50,8 @@ def primal_dual_active_set(problem: DualProblem, start: Iterate, turn: Turn) -> 
         status = method.judge(step)
         if status is not None:
             if status is SolveStatus.STALLED and not turn.is_spent:
-                start = replace(start, cycle=(*start.cycle, *method.progress.sets))
+                sets = *method.cycle, *method.progress.sets
+                start = start.remembering(Method.ACTIVE_SET, sets)
             return iterate_on_face(problem, start, step.iterate, status)
         method.update(step)
 
@@ -99,7 +100,8 @@ class _ActiveSet:
     @staticmethod
     def start(problem: DualProblem, start: Iterate, turn: Turn) -> _ActiveSet:
         """Return the first face: that of an iterate, of multipliers, or of rigid bodies."""
-        rows, cycle = problem.constraints.inequality, start.cycle
+        rows = problem.constraints.inequality
+        cycle: tuple[Mask, ...] = start.memory.get(Method.ACTIVE_SET, ())
         none = np.zeros(rows.size, dtype=bool)
         has_friction = bool(_counts(problem, none, sites=problem.radius > 0.0)[-1])
         if start.on_face is not None:

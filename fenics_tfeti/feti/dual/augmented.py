@@ -66,11 +66,10 @@ def solve_by_smalbe(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
         # a balance parameter that the smaller tolerance of the next pass starts anew
         state = replace(state, M=None)
     return replace(
-        start,
+        start.remembering(Method.SMALBE, state),
         multipliers=problem.feasible + state.x,
         status=_STATUS[result.reason],
         on_face=None,
-        smalbe=state,
     )
 
 
@@ -84,8 +83,9 @@ _STATUS = {
 
 def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> SMALBEState:
     """Return the first x, and G'mu = Q(Fl - d) + G'a, which costs a product where it is unknown."""
-    if start.smalbe is not None:
-        return start.smalbe
+    known: SMALBEState | None = start.memory.get(Method.SMALBE)
+    if known is not None:
+        return known
     x, on_face = start.multipliers - problem.feasible, start.on_face
     if on_face is None and problem.space.norm(start.multipliers) > 0.0:
         face = problem.face_of(start.multipliers, start.active)

@@ -1,19 +1,19 @@
 """Iterates of the dual problem, and what the methods for it have in common.
 
-Each method is a function (problem, iterate, turn) -> iterate. It starts from its own last state,
-which the iterate keeps for it, or from the multipliers.
+Each method is a function (problem, iterate, turn) -> iterate. It starts from its own memory, which
+the iterate keeps for it, or from the multipliers. `solution.strategy` has the order of the methods.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import Any
 
-from fenics_tfeti.feti.coarse.exact_projection import ExactProjection
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 from fenics_tfeti.feti.options import Options
-from fenics_tfeti.qp import OuterIteration, Products, SMALBEState
+from fenics_tfeti.qp import OuterIteration, Products
 from fenics_tfeti.typing import Mask, Vector
 
 
@@ -34,26 +34,13 @@ class SolveStatus(Enum):
     AT_LIMIT = "the accuracy is at the limit of rounding: more iterations do not change it"
     INTERRUPTED = "interrupted"
 
-    @property
-    def is_final(self) -> bool:
-        """Tell whether no other method should go on."""
-        return self in _FINAL
-
     def describe(self, options: Options) -> str:
         """Return the sentence with the values of the options."""
         return self.value.format(**vars(options))
 
 
-_FINAL = (
-    SolveStatus.SOLVED,
-    SolveStatus.OUT_OF_STEPS,
-    SolveStatus.OUT_OF_PRODUCTS,
-    SolveStatus.INTERRUPTED,
-)
-
-
 class Method(Enum):
-    """The methods for the dual problem, in the order in which they take turns."""
+    """The methods for the dual problem."""
 
     ACTIVE_SET = "active_set"
     GRADIENTS = "gradients"
@@ -75,21 +62,6 @@ _WORDS = {
 
 
 @dataclass(frozen=True)
-class GradientState:
-    """State of projected gradients between two steps; points have their products with F."""
-
-    l: Vector  # (m,)
-    Fl: Vector
-    y: Vector  # l and its momentum
-    Fy: Vector
-    theta: float  # of the momentum
-    curvature: float  # 1 / tau [m/N]
-    radius: Vector  # (k,): r
-    motion: Vector  # of the last projection
-    project: ExactProjection
-
-
-@dataclass(frozen=True)
 class Iterate:
     """An iterate of the dual problem."""
 
@@ -97,17 +69,18 @@ class Iterate:
     method: Method = Method.ACTIVE_SET  # the one that made it, and that goes on first
     status: SolveStatus = SolveStatus.NOT_STARTED
     on_face: PCPGIterate | None = None  # iterate on a face, with these multipliers
-    newton: PCPGIterate | None = None  # last iterate of Newton's method, with its proximal term
-    smalbe: SMALBEState | None = None
-    gradients: GradientState | None = None
+    # what a method goes on from in its next turn, which only that method reads
+    memory: Mapping[Method, Any] = field(default_factory=dict)
     radius: Vector | None = None  # (k,): slip bounds that have followed the forces
     # (i,): set to start from; None for the rows with positive multipliers
     active: Mask | None = None
     # (k, gdim - 1): slips of sites to start from, scaled as the rows; None if not known
     slips: Vector | None = None
-    # active sets (i,) in the cycle of the active set method
-    cycle: tuple[Mask, ...] = ()
     is_direct: bool = False  # of a start: whether faces are solved directly from it on
+
+    def remembering(self, method: Method, state: Any) -> Iterate:
+        """Return the iterate with another memory of a method."""
+        return replace(self, memory={**self.memory, method: state})
 
     def at_multipliers(self, slips: Vector) -> Iterate:
         """Return the iterate to start from its multipliers, active set and slips alone.
@@ -115,7 +88,8 @@ class Iterate:
         Rounding has added up in the recurrences of its residual.
         """
         active = self.active if self.on_face is None else self.on_face.face.active
-        return replace(self, on_face=None, gradients=None, active=active, slips=slips)
+        iterate = self.remembering(Method.GRADIENTS, None)
+        return replace(iterate, on_face=None, active=active, slips=slips)
 
 
 @dataclass(frozen=True)
@@ -152,11 +126,6 @@ class Turn:
     options: Options = field(default_factory=Options)
     max_outer: int = 200  # limit on outer iterations of SMALBE-M
     patience: int = 200  # outer iterations in a row that may fail to halve ||Gx||
-
-    def extended(self, products: int) -> Turn:
-        """Return the turn with this number of products more, as far as the options allow."""
-        limit = min(self.max_products + products, self.options.max_products)
-        return replace(self, max_products=limit)
 
     @property
     def is_spent(self) -> bool:

@@ -18,7 +18,7 @@ Math. 15 (2015) 715-732.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +28,6 @@ from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.dual.iterate import (
     ActiveSetStep,
-    GradientState,
     Iterate,
     Method,
     SolveStatus,
@@ -65,14 +64,28 @@ def projected_gradients(
     while status is None:
         state, status = method.step(state)
     return replace(
-        start,
+        start.remembering(Method.GRADIENTS, state),
         multipliers=state.l,
         method=Method.GRADIENTS,
         status=status,
         on_face=None,
         radius=state.radius,
-        gradients=state,
     )
+
+
+@dataclass(frozen=True)
+class _State:
+    """State of projected gradients between two steps; points have their products with F."""
+
+    l: Vector  # (m,)
+    Fl: Vector
+    y: Vector  # l and its momentum
+    Fy: Vector
+    theta: float  # of the momentum
+    curvature: float  # 1 / tau [m/N]
+    radius: Vector  # (k,): r
+    motion: Vector  # of the last projection
+    project: ExactProjection
 
 
 class _Method:
@@ -90,20 +103,21 @@ class _Method:
         self.glued = problem.constraints.equality
         self.steps, self.told = 0, self._set_of(problem.feasible, problem.radius)
 
-    def first(self, start: Iterate) -> GradientState:
+    def first(self, start: Iterate) -> _State:
         """Return the last state, or the feasible multipliers nearest to those of the start."""
-        if start.gradients is not None:
-            self.told = self._set_of(start.gradients.l, start.gradients.radius)
-            return start.gradients
+        known: _State | None = start.memory.get(Method.GRADIENTS)
+        if known is not None:
+            self.told = self._set_of(known.l, known.radius)
+            return known
         problem = self.problem
         radius = problem.radius if start.radius is None else start.radius
         some = problem.space.norm(start.multipliers) > 0.0
         l = self.project(self.metric(start.multipliers if some else problem.feasible), radius)
         Fl = self._product(l)
         project = self.project
-        return GradientState(l, Fl, l, Fl, 1.0, problem.norm, radius, project.motion, project)
+        return _State(l, Fl, l, Fl, 1.0, problem.norm, radius, project.motion, project)
 
-    def step(self, state: GradientState) -> tuple[GradientState, SolveStatus | None]:
+    def step(self, state: _State) -> tuple[_State, SolveStatus | None]:
         """Take a step, and tell how the method ends with it. Collective."""
         problem, turn = self.problem, self.turn
         found = self._projected(state)
@@ -136,7 +150,7 @@ class _Method:
         following[wanted == 0.0] = 0.0
         following = radius if accurate else following
         project = self.project
-        state = GradientState(l, Fl, y, Fy, theta, steepest, following, project.motion, project)
+        state = _State(l, Fl, y, Fy, theta, steepest, following, project.motion, project)
         self.steps += 1
         if accurate or self.steps % _TOLD == 0:
             self._tell(l, radius, residual)
@@ -144,7 +158,7 @@ class _Method:
             return state, SolveStatus.SOLVED
         return state, SolveStatus.STALLED if turn.is_spent else None
 
-    def _projected(self, state: GradientState) -> tuple[Vector, Vector, Vector] | None:
+    def _projected(self, state: _State) -> tuple[Vector, Vector, Vector] | None:
         """Return the next multipliers, bounds with which they exist, and the gradient. Collective.
 
         The gradient (m,) is times the step.
@@ -196,8 +210,9 @@ class _Method:
 
 def _projection(problem: DualProblem, start: Iterate, turn: Turn) -> ExactProjection:
     """Return the projection of the last turn, or one for the problem. Collective."""
-    if start.gradients is not None:
-        return start.gradients.project
+    known: _State | None = start.memory.get(Method.GRADIENTS)
+    if known is not None:
+        return known.project
     metric = GramMetric.build(problem.constraints)
     return ExactProjection(problem.coarse_space, problem.e, metric, _of_glued_rows(problem, turn))
 

@@ -31,7 +31,6 @@ from fenics_tfeti.feti.constraints.face import Face, Proximal
 from fenics_tfeti.feti.dual.active_set import (
     close_first_gaps,
     iterate_on_face,
-    primal_dual_active_set,
     unused_friction,
 )
 from fenics_tfeti.feti.dual.face_operators import FaceOperators
@@ -54,43 +53,27 @@ _PATIENCE = 40
 
 
 def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate:
-    """Run the proximal point method until residual, bounds and slips are within the tolerance.
+    """Solve the next proximal problem: CENTRED, or SOLVED where that solves (11.36) as well.
 
-    It starts from its own last iterate, from one on a face, or from multipliers. The solution of
-    each proximal problem is a start for the active set method, whose solution has forces that
-    vanish exactly: where it finds one, that ends the method.
+    It goes on from the last one, or from an iterate on a face, or multipliers. A solution is a
+    start for the active set method, whose solution has forces that vanish exactly.
     """
     bounds = _Bounds(problem)
     state = _first_state(problem, start, turn)
     term = state.face.proximal
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
-    while True:
-        state, status = _solve_proximal(problem, bounds, term, state, turn)
-        wanted = bounds.wanted(term, state)
-        iterate = _iterate(problem, start, state, wanted, status)
-        if status is SolveStatus.STALLED:
-            return iterate
-        before = turn.products.total
-        on_face = _on_face(problem, iterate, state, turn)
-        turn = turn.extended(turn.products.total - before)
-        start = replace(start, cycle=on_face.cycle)
-        if on_face.status is SolveStatus.SOLVED or status is SolveStatus.SOLVED:
-            return on_face if on_face.status is SolveStatus.SOLVED else iterate
-        stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
-        term = Proximal(bounds.chosen(wanted), stiffness)
-
-
-def _on_face(problem: DualProblem, iterate: Iterate, state: PCPGIterate, turn: Turn) -> Iterate:
-    """Run the active set method from a solution, for at most as many products as were spent.
-
-    Multipliers P(l_k + rho v) are those of the residual where they solve (11.36) only.
-    """
-    if iterate.status is SolveStatus.SOLVED:
-        return primal_dual_active_set(problem, iterate, turn.extended(turn.products.total))
-    limited = replace(turn, max_products=min(2 * turn.products.total, turn.max_products))
-    slips = -problem.constraints.friction.at_sites(state.gradient)
-    return primal_dual_active_set(problem, iterate.at_multipliers(slips), limited)
+    state, status = _solve_proximal(problem, bounds, term, state, turn)
+    multipliers = bounds.wanted(term, state)
+    iterate = _iterate(problem, start, state, multipliers, status)
+    if status is not SolveStatus.CENTRED:
+        return iterate
+    stiffness = min(_GROWTH * term.stiffness, _LARGEST * problem.unit)
+    term = Proximal(bounds.chosen(multipliers), stiffness)
+    following = replace(state, face=replace(state.face, proximal=term))
+    # multipliers P(l_k + rho v) are those of the residual where they solve (11.36) only
+    iterate = iterate.at_multipliers(-problem.constraints.friction.at_sites(state.gradient))
+    return iterate.remembering(Method.NEWTON, following)
 
 
 def _solve_proximal(
@@ -136,7 +119,8 @@ def _iterate(
     """Return the iterate with multipliers P(l_k + rho v), on the face without the proximal term."""
     iterate = iterate_on_face(problem, start, replace(state, multipliers=wanted), status)
     on_face = replace(state, face=replace(state.face, proximal=None))
-    return replace(iterate, method=Method.NEWTON, on_face=on_face, newton=state)
+    iterate = replace(iterate, method=Method.NEWTON, on_face=on_face)
+    return iterate.remembering(Method.NEWTON, state)
 
 
 @dataclass(frozen=True)
@@ -195,7 +179,7 @@ class _Bounds:
 
 def _first_state(problem: DualProblem, start: Iterate, turn: Turn) -> PCPGIterate:
     """Return an iterate with its gradient on all rows: that of the start, or one on its face."""
-    known = start.newton or start.on_face
+    known: PCPGIterate | None = start.memory.get(Method.NEWTON) or start.on_face
     if known is not None:
         return known
     face = problem.face_of(start.multipliers, start.active, start.slips)

@@ -1,9 +1,8 @@
 """The outer loop: from the set-up to multipliers and displacements with a certificate.
 
 repeat
-lambda   by the primal-dual active set method, Newton's method on proximal problems, or SMALBE-M
-         on (11.40): they take turns where one makes no progress; by projected gradients first where
-         the slip bounds follow the forces
+lambda   by the primal-dual active set method, Newton's method on proximal problems, projected
+         gradients or SMALBE-M on (11.40): where one makes no progress, `strategy` has the next one
 u        by recovery (11.29)
 stop     when the certificate of u and lambda holds
 eps      is reduced by what the certificate lacks
@@ -14,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from itertools import count
 
 from mpi4py import MPI
 
@@ -54,17 +52,12 @@ from fenics_tfeti.feti.solution.scale import (
 )
 from fenics_tfeti.feti.solution.setup import SolveContext
 from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
+from fenics_tfeti.feti.solution.strategy import Strategy
 from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
-# the order in which the methods take turns; bounds that follow the forces come first
-_TURNS = [Method.ACTIVE_SET, Method.NEWTON, Method.SMALBE]
-_FOLLOWING_TURNS = [Method.GRADIENTS, *_TURNS]
-# products of a turn after the first one, in the first round, doubled in each round; at least as
-# many go on where rounding has ended conjugate gradients
-_SHARE = 2000
 # bodies that the reason of an end without convergence names
 _BODIES = 2
 
@@ -140,35 +133,37 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
     if forces is not None:
         return loop.at_rest(forces)
     iterate, limit = loop.first(start), max(context.options.rtol, CERTIFIED)
+    strategy = loop.strategy(iterate.method)
     tolerance = context.options.rtol * loop.scale.energy_norm
     progress, best = Progress.start(loop.scale), _Best()
     while True:
         tolerance = max(tolerance, progress.rounding)
-        iterate = loop.minimise(iterate, tolerance)
+        iterate = loop.minimise(iterate, strategy, tolerance)
         candidate = loop.recover(iterate)
         certificate = candidate.certificate
         if certificate.worst <= limit:
             return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
         best.update(iterate, certificate)
         if iterate.status is SolveStatus.AT_ROUNDING:
-            # not accurate enough: SMALBE-M goes on from the best state, with as many products
-            spent = context.monitor.history.products.total
-            best.rounded, loop = certificate.worst, loop.limited_to(spent + max(spent, _SHARE))
-            iterate = best.start(loop)
+            best.rounded = certificate.worst
+            iterate = best.start(loop, strategy.after_rounding(iterate.method))
             continue
         if iterate.status is SolveStatus.OUT_OF_PRODUCTS and best.rounded is not None:
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
         if iterate.status is not SolveStatus.SOLVED:
             return best.outcome(loop, candidate, iterate.status, tolerance)
-        stagnation = progress.judge(iterate.method, certificate, tolerance)
+        stagnation, following = progress.judge(certificate, tolerance), None
         if stagnation is Stagnation.FINAL:
+            following = strategy.after_passes(iterate.method)
+        if stagnation is Stagnation.FINAL and following is None:
             relaxed = certificate.with_nearly_unloaded_bodies()
             if relaxed.worst <= limit:
                 candidate = replace(candidate, certificate=relaxed)
                 return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
             return best.outcome(loop, candidate, SolveStatus.AT_LIMIT, tolerance)
-        if stagnation is Stagnation.OF_SMALBE:
-            iterate = replace(iterate, method=Method.ACTIVE_SET, slips=candidate.slips)
+        if following is not None:
+            progress.restart()
+            iterate = replace(iterate, method=following, slips=candidate.slips)
         elif stagnation is Stagnation.OF_PASS:
             iterate = iterate.at_multipliers(candidate.slips)
         # its displacements are the largest vectors: the next ones take their place
@@ -193,12 +188,12 @@ class _Best:
             self.iterate, self.worst = iterate, certificate.worst
             self.name = certificate.worst_name
 
-    def start(self, loop: _Loop) -> Iterate:
-        """Return the iterate for SMALBE-M to go on from; none without a finite certificate."""
+    def start(self, loop: _Loop, method: Method) -> Iterate:
+        """Return the iterate for a method to go on from; none without a finite certificate."""
         spoilt = self.iterate is None or not np.isfinite(self.worst)
         iterate = loop.first(None) if spoilt else self.iterate
         assert iterate is not None
-        return replace(iterate, method=Method.SMALBE)
+        return replace(iterate, method=method)
 
     def outcome(
         self, loop: _Loop, last: Candidate, status: SolveStatus, tolerance: float
@@ -234,7 +229,6 @@ class _Loop:
     primal: PrimalProblem
     d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
     scale: EnergyScale  # the tolerances are relative to it
-    outer_before: int  # outer iterations of SMALBE-M before this loop
     bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
 
     @staticmethod
@@ -247,14 +241,7 @@ class _Loop:
         """Compute d_0 and the scale."""
         primal = PrimalProblem(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
-        before = len(context.monitor.history.outer)
-        return _Loop(context, primal, feasible.jumps - context.data.c, scale, before, bounds)
-
-    def limited_to(self, products: int) -> _Loop:
-        """Return the loop with a limit on products that may be smaller."""
-        options = self.context.options
-        options = replace(options, max_products=min(options.max_products, products))
-        return replace(self, context=replace(self.context, options=options))
+        return _Loop(context, primal, feasible.jumps - context.data.c, scale, bounds)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -278,47 +265,36 @@ class _Loop:
         # where nothing moves, other multipliers would leave displacements of rounding size
         if start is None or self.scale.energy_norm == 0.0:
             return Iterate(np.zeros_like(self.d_0), method)
-        return replace(start, method=method, cycle=())
+        return replace(start, method=method)
 
-    def minimise(self, iterate: Iterate, tolerance: float) -> Iterate:
-        """Solve the dual problem: the methods take turns, first the one of the iterate."""
-        flat = self.context.setup.deflation is None
-        methods = _TURNS if self.bounds is None else _FOLLOWING_TURNS
-        first = methods.index(iterate.method)
-        for number in count():
-            method = methods[(first + number) % len(methods)]
-            turn, begin = self._turn(tolerance, number, number // len(methods)), iterate
-            iterate = self._run(method, begin, turn)
-            status = iterate.status
-            at_limit = status is SolveStatus.AT_ROUNDING and number == 0
-            if status is SolveStatus.AT_ROUNDING and number:
-                # rounding has spoilt it: the next method goes on from where this one began
-                iterate = replace(begin, status=status)
-            if status.is_final or at_limit or (status is SolveStatus.FLAT and flat):
-                break
-            # directions of U have no curvature: rounding of the gradient may have led there
-            flat = flat or status is SolveStatus.FLAT
-        return iterate
-
-    def _turn(self, tolerance: float, number: int, round_number: int) -> Turn:
-        """Return what a method may spend: in the first turn what is left, later a share."""
-        options, monitor = self.context.options, self.context.monitor
-        history = monitor.history
-        limit, factor = options.max_products, 2**round_number
-        if number or self.bounds is not None:
-            limit = min(limit, history.products.total + _SHARE * factor)
-        return Turn(
-            tolerance,
-            limit,
-            history.products,
-            monitor.tell,
-            options,
-            max_outer=options.smalbe_max_it - (len(history.outer) - self.outer_before),
-            patience=factor * options.smalbe_patience,
+    def strategy(self, first: Method) -> Strategy:
+        """Return who goes on after whom, from a first method on."""
+        context, deflated = self.context, self.context.setup.deflation is not None
+        return Strategy.of(
+            first,
+            context.options,
+            context.monitor,
+            follows=self.bounds is not None,
+            deflated=deflated,
         )
 
-    def _run(self, method: Method, iterate: Iterate, turn: Turn) -> Iterate:
+    def minimise(self, iterate: Iterate, strategy: Strategy, tolerance: float) -> Iterate:
+        """Solve the dual problem by one method after another, first the one of the iterate."""
+        products = self.context.monitor.history.products
+        following: Method | None = iterate.method
+        strategy.begin(tolerance)
+        while following is not None:
+            method, begin, before = following, iterate, products.total
+            iterate = self._run(method, begin, strategy)
+            following = strategy.after(method, iterate.status, products.total - before)
+            if iterate.status is SolveStatus.AT_ROUNDING and following is not None:
+                # rounding has spoilt it: the next method goes on from where this one began
+                iterate = replace(begin, status=iterate.status)
+        return iterate
+
+    def _run(self, method: Method, iterate: Iterate, strategy: Strategy) -> Iterate:
         """Run a method for its turn."""
+        turn = strategy.turn(method)
         if method is not Method.GRADIENTS:
             # the other methods take the bounds of the problem
             iterate = replace(iterate, radius=None)
@@ -339,7 +315,7 @@ class _Loop:
             return iterate
         if interruption.agreed():
             return replace(iterate, status=SolveStatus.INTERRUPTED)
-        if turn.products.total >= self.context.options.max_products:
+        if strategy.is_spent:
             return replace(iterate, status=SolveStatus.OUT_OF_PRODUCTS)
         return iterate
 

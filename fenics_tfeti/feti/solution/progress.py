@@ -7,7 +7,6 @@ from enum import Enum, auto
 
 import numpy as np
 
-from fenics_tfeti.feti.dual.iterate import Method
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.scale import EnergyScale
 from fenics_tfeti.feti.tolerances import NEGLIGIBLE
@@ -23,8 +22,8 @@ class Stagnation(Enum):
 
     NONE = auto()
     OF_PASS = auto()  # the last one has halved neither number of the certificate
-    OF_SMALBE = auto()  # the active set method has not been tried since
-    FINAL = auto()  # no method reduces it
+    OF_ROUNDING = auto()  # rounding has ended the conjugate gradients
+    FINAL = auto()  # more passes with the same method do not reduce it
 
 
 @dataclass
@@ -44,14 +43,18 @@ class Progress:
     failures: int = 0  # passes since then that changed the certificate
     last: tuple[float, float] = (np.inf, np.inf)  # the two numbers of the last pass
     passes: int = 0
-    by_active_set: bool = False  # SMALBE-M has handed over to the active set method
 
     @staticmethod
     def start(scale: EnergyScale) -> Progress:
         """Return that before the first pass."""
         return Progress(scale, scale.rounding_at(scale.energy_norm))
 
-    def judge(self, method: Method, certificate: Certificate, tolerance: float) -> Stagnation:
+    def restart(self) -> None:
+        """Forget the smallest numbers: another method goes on."""
+        self.bound = self.worst = self.tolerance = np.inf
+        self.failures, self.passes = 0, 0
+
+    def judge(self, certificate: Certificate, tolerance: float) -> Stagnation:
         """Compare the certificate of a pass with the smallest numbers so far."""
         self._update(certificate, tolerance)
         # without a preconditioner residuals are measured too small where the material is stiff:
@@ -62,11 +65,7 @@ class Progress:
         self.rounding = min(self.rounding, (self.measured or 1.0) * rounding)
         failed = self.failures >= _FAILURES and tolerance <= _DECREASE * self.tolerance
         if failed or self.passes >= _PASSES or tolerance <= self.rounding:
-            if method is not Method.SMALBE or self.by_active_set:
-                return Stagnation.FINAL
-            self.bound = self.worst = self.tolerance = np.inf
-            self.failures, self.passes, self.by_active_set = 0, 0, True
-            return Stagnation.OF_SMALBE
+            return Stagnation.FINAL
         return Stagnation.OF_PASS if self.failures else Stagnation.NONE
 
     def _update(self, certificate: Certificate, tolerance: float) -> None:

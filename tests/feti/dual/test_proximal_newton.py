@@ -1,14 +1,11 @@
 """Newton's method on proximal problems finds the forces of friction from any start."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from friction_problems import in_a_corner, in_a_groove, pulled_strip, pushed_block
 
 from fenics_tfeti.feti import Options, TornSolver
-from fenics_tfeti.feti.dual import proximal_newton as newton_module
-from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
+from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.proximal_newton import _root, proximal_newton
 from fenics_tfeti.qp import Products
 
@@ -26,16 +23,6 @@ SYSTEMS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def _alone(monkeypatch):
-    """Let the active set method find nothing."""
-    monkeypatch.setattr(
-        newton_module,
-        "primal_dual_active_set",
-        lambda problem, start, turn: replace(start, status=SolveStatus.STALLED),
-    )
-
-
 def minimum(problem, multipliers):
     """Return the cost 1/2 l'Fl - d'l."""
     return multipliers @ (0.5 * problem.F(multipliers) - problem.d)
@@ -46,7 +33,9 @@ def by_newton(solver, rtol, max_products=20_000):
     problem = solver.dual_problem()
     tolerance = rtol * np.sqrt(problem.unit) * np.linalg.norm(problem.d)
     turn = Turn(tolerance, max_products, Products(), lambda step: None)
-    found = proximal_newton(problem, Iterate(np.zeros_like(problem.d)), turn)
+    found = Iterate(np.zeros_like(problem.d), status=SolveStatus.CENTRED)
+    while found.status is SolveStatus.CENTRED:
+        found = proximal_newton(problem, found, turn)
     return problem, found
 
 
@@ -69,28 +58,10 @@ def test_cost_is_the_smallest_for_any_bounds(name):
 def test_rows_that_are_free_without_bounds_have_no_proximal_term():
     """Multipliers of gluing and supports are those of the problem itself."""
     problem, found = by_newton(TornSolver(pulled_strip(), Options()), 1e-10)
-    term = found.newton.face.proximal
+    newton = found.memory[Method.NEWTON]
+    term = newton.face.proximal
     assert not term.centre[problem.constraints.equality].any()
-    np.testing.assert_allclose(found.newton.gradient[problem.constraints.equality], 0.0, atol=1e-8)
-
-
-def test_products_on_faces_are_no_part_of_the_turn(monkeypatch):
-    """The limit grows by those that were spent there, and no more."""
-    limits, solve = [], newton_module._solve_proximal
-
-    def spend(problem, start, turn):
-        turn.products.cg += 7
-        return replace(start, status=SolveStatus.STALLED)
-
-    def watch(*arguments):
-        limits.append(arguments[-1].max_products)
-        return solve(*arguments)
-
-    monkeypatch.setattr(newton_module, "primal_dual_active_set", spend)
-    monkeypatch.setattr(newton_module, "_solve_proximal", watch)
-    by_newton(TornSolver(pulled_strip(), Options()), 1e-8, max_products=2_000)
-    assert len(limits) > 1
-    np.testing.assert_array_equal(np.diff(limits), 7)
+    np.testing.assert_allclose(newton.gradient[problem.constraints.equality], 0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize(("slope", "root"), [

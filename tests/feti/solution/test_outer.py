@@ -1,4 +1,4 @@
-"""The outer loop: the two methods for the dual problem take over from each other."""
+"""The outer loop: methods take over from each other, and the best iterate is returned."""
 
 from __future__ import annotations
 

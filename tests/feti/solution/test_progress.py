@@ -6,20 +6,17 @@ from types import SimpleNamespace
 
 import pytest
 
-from fenics_tfeti.feti.dual.iterate import Method
 from fenics_tfeti.feti.solution.progress import Progress, Stagnation
 
 # rounding far below all tolerances
 SCALE = SimpleNamespace(energy_norm=1.0, rounding_at=lambda energy_norm: 0.0)
 
 
-def judged(
-    numbers: list[float], tolerances: list[float], method: Method = Method.ACTIVE_SET
-) -> list[Stagnation]:
+def judged(numbers: list[float], tolerances: list[float]) -> list[Stagnation]:
     """Return what is said of passes with certificates of one number each."""
     progress = Progress.start(SCALE)
     return [
-        progress.judge(method, SimpleNamespace(bound=x, worst=x, energy_norm=1.0), tolerance)
+        progress.judge(SimpleNamespace(bound=x, worst=x, energy_norm=1.0), tolerance)
         for x, tolerance in zip(numbers, tolerances, strict=True)
     ]
 
@@ -45,10 +42,15 @@ def test_passes_are_limited():
     assert set(before) == {Stagnation.NONE} and last is Stagnation.FINAL
 
 
-def test_active_set_method_is_tried_once_where_smalbe_stagnates():
+def test_passes_of_another_method_are_counted_anew():
+    progress, certificate = Progress.start(SCALE), SimpleNamespace(bound=1, worst=1, energy_norm=1)
     numbers, tolerances = [1.0, 0.9, 0.8, 0.7], [1.0, 0.1, 0.01, 0.001]
-    twice = judged(2 * numbers, 2 * tolerances, Method.SMALBE)
-    assert twice[3] is Stagnation.OF_SMALBE and twice[7] is Stagnation.FINAL
+    for x, tolerance in zip(numbers, tolerances, strict=True):
+        certificate.bound = certificate.worst = x
+        last = progress.judge(certificate, tolerance)
+    assert last is Stagnation.FINAL
+    progress.restart()
+    assert progress.judge(certificate, 1e-3) is Stagnation.NONE
 
 
 @pytest.mark.parametrize(
@@ -59,4 +61,4 @@ def test_rounding_ends_the_passes(bound, expected):
     """Rounding of energies of 1e-3 is 1e-4 of a residual that measures a tenth of the energy."""
     scale = SimpleNamespace(energy_norm=1.0, rounding_at=lambda energy_norm: 1e-3)
     certificate = SimpleNamespace(bound=bound, worst=bound, energy_norm=1.0)
-    assert Progress.start(scale).judge(Method.ACTIVE_SET, certificate, 1e-3) is expected
+    assert Progress.start(scale).judge(certificate, 1e-3) is expected
