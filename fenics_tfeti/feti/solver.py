@@ -285,10 +285,10 @@ class TornSolver:
         force, gap = (constraints.layout.sum(x)[rows] for x in (force, gap))
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
         # a guessed force closes the gap against the stiffness of the surface
-        unit = SURFACE * self.setup.local.unit
-        active = force / (unit * constraints.contacts.scale**2) > gap
+        unit, scale = SURFACE * self.setup.local.unit, constraints.rows.scale[rows]
+        active = force / (unit * scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
-        multipliers[rows] = np.where(active, force / constraints.contacts.scale, 0.0)
+        multipliers[rows] = np.where(active, force / scale, 0.0)
         return Iterate(multipliers, active=active, is_direct=_is_direct(state))
 
     @property
@@ -414,7 +414,7 @@ class TornSolver:
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
         constraints = self.setup.constraints
-        normal_force, friction = constraints.normal_forces(multipliers), constraints.friction
+        normal_force, friction = constraints.contacts.forces(multipliers), constraints.friction
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.given(friction.pressing(multipliers, constraints.layout))
         bound = friction.given(friction.scale) * self.data.own_bound.at(pressing)
@@ -422,7 +422,7 @@ class TornSolver:
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
             normal_force,
-            (normal_force > 0.0) | (constraints.held.own_rows >= 0),
+            (normal_force > 0.0) | constraints.held,
             constraints.tied.forces(multipliers),
             tangential_forces(constraints, self.data, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),

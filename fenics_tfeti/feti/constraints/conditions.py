@@ -10,16 +10,16 @@ rows, of contact rows with friction, are terms of the same form (`friction`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.entries import Entries
-from fenics_tfeti.feti.constraints.friction import Tangential, check_slides, common_scale
+from fenics_tfeti.feti.constraints.friction import check_slides, common_scale
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable, largest_coordinate
 from fenics_tfeti.feti.constraints.redundancy import Conditions, Redundancy, Terms, find_redundant
+from fenics_tfeti.feti.constraints.row_table import Kind, RowTable
 from fenics_tfeti.feti.constraints.scaling import RIGID, unit_scale
 from fenics_tfeti.feti.local.rigid_body_modes import possible_kernel
 from fenics_tfeti.feti.system import ContactRows, TornSystem
@@ -31,42 +31,7 @@ from fenics_tfeti.parallel import (
     raise_collectively,
     warn_on_first_rank,
 )
-from fenics_tfeti.typing import Array, Mask, Numbers, Vector
-
-
-@dataclass(frozen=True)
-class RowData:
-    """Data of contact, tied and tangential rows."""
-
-    number: Numbers  # (r,): global row number; -1 of a condition that is no row of B
-    contact: Numbers  # (r,): number of the contact
-    scale: Vector  # (r,): makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1
-    rhs: Vector  # (r,): right-hand side, scaled
-    tied: Mask  # (r,): whether it is a tied row
-    held: Mask  # (r,): whether it is a contact row that holds with equality
-    tangential: Tangential
-
-    @staticmethod
-    def from_columns(columns: Sequence[Array]) -> RowData:
-        """Return the rows with `columns` of all data."""
-        number, contact, scale, rhs, tied, held, *tangential = columns
-        return RowData(number, contact, scale, rhs, tied, held, Tangential(*tangential))
-
-    @property
-    def columns(self) -> list[Array]:
-        """All data as columns (r,)."""
-        data = vars(self).copy()
-        tangential = data.pop("tangential")
-        return [*data.values(), *vars(tangential).values()]
-
-    def chosen(self, rows: Numbers | Mask) -> RowData:
-        """Return the data of some rows."""
-        return RowData.from_columns([column[rows] for column in self.columns])
-
-    def concatenate(self, rows: RowData) -> RowData:
-        """Return these rows with others behind them."""
-        pairs = zip(self.columns, rows.columns, strict=True)
-        return RowData.from_columns([np.concatenate(pair) for pair in pairs])
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -76,12 +41,14 @@ class ConditionRows:
     entries: Entries  # on this rank
     # contact rows, tied rows, and tangential rows of the contact rows of this rank, with the data
     # of the rows of B that they have
-    given: RowData
+    given: RowTable
     share: Vector  # (conditions of this rank,): part of the row's force, with a sign
     sites: Numbers  # (contact rows of this rank with friction,): the sites that they have
     leads: Mask  # (contact rows of this rank with friction,): whether they are the first there
     tolerance: Vector  # (conditions of this rank,): rounding of their right-hand side, scaled
-    local: RowData  # rows with entries on this rank, once for each of their nodes there
+    local: RowTable  # rows with entries on this rank, once for each of their nodes there
+    rhs: Vector  # right-hand sides of `given`, scaled
+    local_rhs: Vector  # those of `local`
     infinite_gaps: int  # contact rows with an infinite gap, over all ranks
     redundancy: Redundancy
 
@@ -120,7 +87,7 @@ def condition_rows(
     is that of a tied row. Warns where it is that of a support.
     """
     comm = system.comm
-    contacts, tied, tangential, normal = _all_conditions(system)
+    contacts, kind, (site, direction), normal = _all_conditions(system)
     terms = _terms(system, contacts, directory, table)
     # prescribed displacements go to the right-hand side: the row stays orthogonal to their rows
     gap = contacts.gap / contacts.length
@@ -132,7 +99,7 @@ def condition_rows(
     free, flexibility = _free_rows(terms, gap.size)
     finite = np.isfinite(gap)
     infinite_gaps = int(comm.allreduce(int(np.count_nonzero(~finite))))
-    slip, bounded = tangential.mask, np.zeros(gap.size, dtype=bool)
+    tied, slip, bounded = kind == Kind.TIED, kind == Kind.TANGENT, np.zeros(gap.size, dtype=bool)
     bounded[slip] = np.repeat(system.friction.bound > 0.0, system.gdim - 1)
     # there is no friction where there is nothing to touch, and none of a normal force where the gap
     # stays open
@@ -141,9 +108,9 @@ def condition_rows(
     with raise_collectively(comm):
         decided = finite & ~free & ~slip & ~np.asarray(contacts.held)
         _check_decided_rows(contacts, tied, gap, tolerance, decided)
-        check_slides(contacts, tangential, np.where(finite, gap, 0.0), tolerance, free)
+        check_slides(contacts, direction, np.where(finite, gap, 0.0), tolerance, free)
     kept = finite & free
-    scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), tangential, kept)
+    scale = common_scale(unit_scale(np.where(kept, flexibility, 1.0)), direction, kept)
     number, area = first_of_rank(comm, gap.size)[0], np.asarray(contacts.area)
     redundancy = find_redundant(
         Conditions(
@@ -153,8 +120,8 @@ def condition_rows(
             scale * tolerance,
             tied,
             np.where(np.isnan(area), contacts.length, area),
-            tangential.site,
-            tangential.direction,
+            site,
+            direction,
             np.where(slip, number + normal, -1),
             bounded,
         ),
@@ -171,14 +138,12 @@ def condition_rows(
     rows = np.full(gap.size, -1, dtype=np.int64)
     rows[own] = first + first_of_rank(comm, int(own.sum()))[0] + np.arange(own.sum())
     rhs = np.where(own, scale * gap, 0.0)
-    held = np.asarray(contacts.held)
-    own_rows = RowData(rows, contacts.contact, scale, rhs, tied, held, tangential)
-    entries, local = _distribute(own_rows, terms, directory, copies)
-    given = RowData.from_columns([redundancy.of_rows(comm, x) for x in own_rows.columns])
+    own_rows = RowTable(rows, kind, contacts.contact, scale, site, direction)
+    entries, local, local_rhs = _distribute(own_rows, rhs, terms, directory, copies)
+    given = RowTable(*(redundancy.of_rows(comm, x) for x in own_rows.columns))
     # that of the first contact at a site has the lowest number
     sites, own_sites = (
-        x.site[slip].reshape(-1, system.gdim - 1).min(axis=1)
-        for x in (given.tangential, tangential)
+        x[slip].reshape(-1, system.gdim - 1).min(axis=1) for x in (given.site, site)
     )
     return ConditionRows(
         entries,
@@ -188,6 +153,8 @@ def condition_rows(
         sites == own_sites,
         scale * tolerance,
         local,
+        redundancy.of_rows(comm, rhs),
+        local_rhs,
         infinite_gaps,
         redundancy,
     )
@@ -204,21 +171,23 @@ def _free_rows(terms: _Terms, rows: int) -> tuple[Mask, Vector]:
 
 
 def _distribute(
-    given: RowData, terms: _Terms, directory: Directory, copies: Copies
-) -> tuple[Entries, RowData]:
+    given: RowTable, rhs: Vector, terms: _Terms, directory: Directory, copies: Copies
+) -> tuple[Entries, RowTable, Vector]:
     """Send the rows of B to the ranks that hold their nodes; return what this rank gets."""
     kept = given.number[terms.row] >= 0
     row, coefficients = terms.row[kept], terms.coefficients / terms.weight[:, None]
     coefficients = coefficients[kept] * given.scale[row][:, None]
-    nodes, coefficients, *columns = directory.forward(
-        terms.node[kept], coefficients, *given.chosen(row).columns
+    nodes, coefficients, rhs, *columns = directory.forward(
+        terms.node[kept], coefficients, rhs[row], *given.chosen(row).columns
     )
-    local = RowData.from_columns(columns)
-    return _spread_over_copies(copies, nodes, local.number, coefficients), local
+    local = RowTable(*columns)
+    return _spread_over_copies(copies, nodes, local.number, coefficients), local, rhs
 
 
-def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential, Numbers]:
-    """Return contact, tied and tangential rows, which are which, and where the contact rows are.
+def _all_conditions(
+    system: TornSystem,
+) -> tuple[ContactRows, Numbers, tuple[Numbers, Numbers], Numbers]:
+    """Return contact, tied and tangential rows, their kinds, sites and directions, contact rows.
 
     The contact rows of tangential ones are positions among this rank's, -1 of others. Collective.
     """
@@ -226,13 +195,14 @@ def _all_conditions(system: TornSystem) -> tuple[ContactRows, Mask, Tangential, 
     tangential = friction.tangential_rows(system.contacts)
     contacts = ContactRows.concatenate([system.contacts, system.tied, tangential])
     sizes = [system.contacts.size, system.tied.size, tangential.size]
-    tied = np.repeat([False, True, False], sizes)
+    kind = np.repeat([int(k) for k in (Kind.CONTACT, Kind.TIED, Kind.TANGENT)], sizes)
+    kind[np.asarray(contacts.held)] = Kind.HELD
     none = np.full(sizes[0] + sizes[1], -1, dtype=np.int64)
     sites = first_of_rank(system.comm, friction.size)[0] + np.arange(friction.size)
     return (
         contacts,
-        tied,
-        Tangential(
+        kind,
+        (
             np.append(none, np.repeat(sites, directions)),
             np.append(none, np.tile(np.arange(directions), friction.size)),
         ),

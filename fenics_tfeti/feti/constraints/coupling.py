@@ -23,6 +23,7 @@ from scipy.linalg import qr
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.tolerances import GIVEN, PARALLEL, WEAK, ZERO, rounding
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -36,22 +37,31 @@ _SMALL_PIVOT, _SHIFT = 1e-6, rounding(1.0, GIVEN)
 class Coupling:
     """Tied and contact rows that are not orthogonal to all others.
 
-    All other rows, and rows of different blocks of W, are orthonormal. `numbers`, `gram`, `tied`,
-    `tangential` and `tolerance` are the same on all ranks.
+    All other rows, and rows of different blocks of W, are orthonormal. `numbers`, `gram`, `kind`
+    and `tolerance` are the same on all ranks.
     """
 
     numbers: Numbers  # (w,): global numbers of the coupled rows, ascending
     # (w, w): W; its diagonal is 1, or less for tangential rows; it may be singular
     gram: sp.csr_matrix
     rigid: sp.csr_matrix  # (w, q): what the rows do to motions of rigid bodies, which W has not
-    tied: Mask  # (w,): equalities
-    tangential: Mask  # (w,): tangential rows of friction
+    kind: Numbers  # (w,): `Kind`
     tolerance: Vector  # (w,): rounding of right-hand sides
     rows: Numbers  # (h,): local positions of the coupled rows that this rank holds
     positions: Numbers  # (h,): their positions in `numbers`
     owned: Mask  # (h,): which of them this rank owns
     comm: MPI.Intracomm
     _last: list[GramInverse] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    @property
+    def tied(self) -> Mask:
+        """Tied rows (w,)."""
+        return np.asarray(self.kind == Kind.TIED)
+
+    @property
+    def tangential(self) -> Mask:
+        """Tangential rows of friction (w,)."""
+        return np.asarray(self.kind == Kind.TANGENT)
 
     @cached_property
     def groups(self) -> list[Numbers]:

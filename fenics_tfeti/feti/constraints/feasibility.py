@@ -82,7 +82,6 @@ def _raise(system: TornSystem, constraints: Constraints, numbers: Numbers) -> No
     nodes, contact_numbers = [], []
     for rows, positions in (
         (system.contacts, constraints.contacts.own_rows),
-        (system.contacts, constraints.held.own_rows),
         (system.tied, constraints.tied.own_rows),
     ):
         known = np.flatnonzero(positions >= 0)

@@ -17,28 +17,12 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.constraints.row_table import Kind, RowTable
 from fenics_tfeti.feti.system import ContactRows
 from fenics_tfeti.feti.tolerances import MANY, rounding
 from fenics_tfeti.parallel import largest_of_ranks, positions
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-
-@dataclass(frozen=True)
-class Tangential:
-    """Site and direction of tangential rows; -1 for contact and tied rows."""
-
-    site: Numbers  # (r,): global number of the contact row with friction, counted from 0
-    direction: Numbers  # (r,): number of the tangent
-
-    @property
-    def mask(self) -> Mask:
-        """Which rows are tangential."""
-        return self.site >= 0
-
-    def chosen(self, rows: Numbers | Mask) -> Tangential:
-        """Return those of some rows."""
-        return Tangential(self.site[rows], self.direction[rows])
 
 
 @dataclass(frozen=True)
@@ -76,33 +60,29 @@ class FrictionRows:
 
     @staticmethod
     def build(
-        rows: Numbers,
-        tangential: Tangential,
-        contact: Numbers,
-        scale: Vector,
-        directions: int,
-        own_sites: Numbers,
-        comm: MPI.Intracomm,
+        table: RowTable, directions: int, own_sites: Numbers, comm: MPI.Intracomm
     ) -> FrictionRows:
         """Collect the rows of each site, without bounds. Collective.
 
-        Local positions `rows` (r,) of tangential rows ascend; `tangential`, `contact` and `scale`
-        are theirs. `own_sites` (g,) are the sites of the contact rows that this rank gave.
+        The table is of all rows that this rank holds, in local order. `own_sites` (g,) are the
+        sites of the contact rows that this rank gave.
         """
-        sites, first, at = np.unique(tangential.site, return_index=True, return_inverse=True)
-        table = np.full((sites.size, directions), -1, dtype=np.int64)
-        table[at.ravel(), tangential.direction] = rows
+        positions_of_rows = table.where(Kind.TANGENT)
+        tangents = table.chosen(positions_of_rows)
+        sites, first, at = np.unique(tangents.site, return_index=True, return_inverse=True)
+        rows = np.full((sites.size, directions), -1, dtype=np.int64)
+        rows[at.ravel(), tangents.direction] = positions_of_rows
         order = np.argsort(first)
         position = np.full(sites.size + 1, -1, dtype=np.int64)
         position[order] = np.arange(sites.size)
         first = first[order]
         none = np.zeros(own_sites.size)
-        has_sites = np.array([sites.size > 0, directions == 2 and (table >= 0).all(axis=1).any()])
+        has_sites = np.array([sites.size > 0, directions == 2 and (rows >= 0).all(axis=1).any()])
         comm.Allreduce(MPI.IN_PLACE, has_sites, MPI.LOR)
         return FrictionRows(
-            table[order],
-            contact[first],
-            scale[first],
+            rows[order],
+            tangents.contact[first],
+            tangents.scale[first],
             position[positions(sites, own_sites)],
             bool(has_sites[0]),
             bool(has_sites[1]),
@@ -240,7 +220,7 @@ class FrictionRows:
 
 
 def check_slides(
-    contacts: ContactRows, tangential: Tangential, gap: Vector, tolerance: Vector, free: Mask
+    contacts: ContactRows, direction: Numbers, gap: Vector, tolerance: Vector, free: Mask
 ) -> None:
     """Check that prescribed displacements slide nothing that may slip in another direction.
 
@@ -249,8 +229,7 @@ def check_slides(
     rounding, `free` tells whether a row has a free part. Raises an InputError on this rank that
     names the first slave node.
     """
-    first = np.flatnonzero(tangential.mask & (tangential.direction == 0))
-    second = np.flatnonzero(tangential.mask & (tangential.direction == 1))
+    first, second = np.flatnonzero(direction == 0), np.flatnonzero(direction == 1)
     if not second.size:
         return
     decided = np.where(free[first], second, first)
@@ -264,13 +243,13 @@ def check_slides(
         )
 
 
-def common_scale(scale: Vector, tangential: Tangential, kept: Mask) -> Vector:
+def common_scale(scale: Vector, direction: Numbers, kept: Mask) -> Vector:
     """Return factors that are the same for both tangential rows of a site, up to the last bit.
 
     The longer row has length 1. Where displacements are prescribed at some nodes of a site, the
     other one is shorter.
     """
-    second = np.flatnonzero(kept & (tangential.direction == 1))
+    second = np.flatnonzero(kept & (direction == 1))
     second = second[kept[second - 1]]
     scale = scale.copy()
     scale[second] = scale[second - 1] = np.minimum(scale[second], scale[second - 1])

@@ -10,6 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
+from fenics_tfeti.feti.constraints.row_table import GivenRows, Kind, RowTable
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.parallel import count_over_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -88,14 +89,21 @@ def hold_ground(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
-        contacts=constraints.contacts.moved(places),
-        held=constraints.held.moved(places),
-        tied=constraints.tied.moved(places),
+        rows=constraints.rows.inserted(
+            layout.owned, RowTable.of_kind(numbers[constraints.size :], Kind.SUPPORT)
+        ),
+        contacts=_moved(constraints.contacts, places),
+        tied=_moved(constraints.tied, places),
         weights=weights,
         coupling=replace(constraints.coupling, rows=places[constraints.coupling.rows]),
         friction=constraints.friction.moved(places),
     )
     return extended, np.insert(c, layout.owned, np.zeros(new))
+
+
+def _moved(given: GivenRows, places: Numbers) -> GivenRows:
+    """Return the rows at new local positions, by the old ones."""
+    return replace(given, own_rows=np.append(places, -1)[given.own_rows])
 
 
 def _mean_weights(weights: Vector, unknowns: TornUnknowns) -> Vector:

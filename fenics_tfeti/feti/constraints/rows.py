@@ -7,7 +7,7 @@ node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 from mpi4py import MPI
@@ -23,39 +23,10 @@ from fenics_tfeti.feti.constraints.entries import Entries
 from fenics_tfeti.feti.constraints.equality import equality_rows
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.nodes import Copies, NodeTable
+from fenics_tfeti.feti.constraints.row_table import GivenRows, Kind, RowTable
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-
-@dataclass(frozen=True)
-class SurfaceRows:
-    """The contact rows, or the tied rows, that this rank holds.
-
-    Of the rows given, those that are far away, that prescribed displacements or tied rows decide
-    and that are farther away than a parallel one are no rows of B. Equal ones are one row.
-    """
-
-    rows: Numbers  # (k,): local positions, ascending
-    contact: Numbers  # (k,): number of the contact, of the first one
-    scale: Vector  # (k,): t
-    own_rows: Numbers  # (rows that this rank gave,): local positions; -1 for no row of B
-    share: Vector  # (rows that this rank gave,): part of the row's force, with a sign
-
-    def forces(self, multipliers: Vector) -> Vector:
-        """Return the force of each row that this rank gave [N]; 0 if it is no row of B.
-
-        It acts on the slave against the row's normal.
-        """
-        # -1 is the last one, zero; a rank may give rows without holding a single row of B
-        force = np.zeros(multipliers.size + 1)
-        force[self.rows] = self.scale * multipliers[self.rows]
-        return self.share * force[self.own_rows]
-
-    def moved(self, places: Numbers) -> SurfaceRows:
-        """Return the rows at new local positions, by the old ones."""
-        own_rows = np.append(places, -1)[self.own_rows]
-        return replace(self, rows=places[self.rows], own_rows=own_rows)
 
 
 @dataclass(frozen=True)
@@ -69,9 +40,9 @@ class Constraints:
 
     matrix: sp.csr_matrix  # (m, n): columns of this rank's subdomains, all rows with an entry there
     layout: DualLayout  # global numbers of the rows, and the ranks that share them
-    contacts: SurfaceRows  # the inequality rows
-    held: SurfaceRows  # contact rows that hold with equality
-    tied: SurfaceRows  # equality rows
+    rows: RowTable  # (m,): those that this rank holds, in local order
+    contacts: GivenRows  # the contact rows that this rank gave
+    tied: GivenRows  # the tied rows that this rank gave
     weights: Vector  # (n,): diagonal of D for this rank's torn displacements
     nodes: int  # distinct nodes over all ranks
     redundant: int  # contact and tied rows that others imply or equal
@@ -79,10 +50,16 @@ class Constraints:
     coupling: Coupling  # contact, tied and tangential rows that are not orthogonal to all others
     friction: FrictionRows
 
-    @property
+    @cached_property
     def inequality(self) -> Numbers:
         """Local positions (i,) of the inequality rows, ascending."""
-        return self.contacts.rows
+        return self.rows.where(Kind.CONTACT)
+
+    @property
+    def held(self) -> Mask:
+        """Which contact rows that this rank gave hold with equality."""
+        kind = np.append(self.rows.kind, -1)[self.contacts.own_rows]
+        return np.asarray(kind == Kind.HELD)
 
     @property
     def size(self) -> int:
@@ -100,14 +77,7 @@ class Constraints:
     @property
     def equality(self) -> NDArray[np.bool_]:
         """Mask of the equality rows."""
-        mask = np.ones(self.size, dtype=bool)
-        mask[self.inequality] = False
-        mask[self.friction.flat] = False
-        return mask
-
-    def normal_forces(self, multipliers: Vector) -> Vector:
-        """Return the normal force of each contact row that this rank gave [N]."""
-        return self.contacts.forces(multipliers) + self.held.forces(multipliers)
+        return np.asarray(self.rows.kind < Kind.CONTACT)
 
     def lengths_of_rows(self) -> Vector:
         """Return the Euclidean norms (m,) of the rows of B over all ranks. Collective at first."""
@@ -122,8 +92,8 @@ class Constraints:
         """Tell, with one answer on all ranks, whether both number the same rows alike."""
         pairs = (
             (self.layout.numbers, other.layout.numbers),
+            (self.rows.kind, other.rows.kind),
             (self.contacts.own_rows, other.contacts.own_rows),
-            (self.held.own_rows, other.held.own_rows),
             (self.tied.own_rows, other.tied.own_rows),
             (self.friction.rows, other.friction.rows),
             (self.friction.own, other.friction.own),
@@ -137,12 +107,8 @@ class Constraints:
         same = (
             self.matrix.shape == other.matrix.shape
             and (self.matrix != other.matrix).nnz == 0
-            and np.array_equal(self.contacts.contact, other.contacts.contact)
-            and np.array_equal(self.held.contact, other.held.contact)
-            and np.array_equal(self.tied.contact, other.tied.contact)
-            and np.array_equal(self.friction.contact, other.friction.contact)
+            and np.array_equal(self.rows.contact, other.rows.contact)
             and np.array_equal(self.contacts.share, other.contacts.share)
-            and np.array_equal(self.held.share, other.held.share)
             and np.array_equal(self.tied.share, other.tied.share)
         )
         return self.same_numbering(other) and bool(self.layout.comm.allreduce(same, MPI.LAND))
@@ -165,7 +131,7 @@ class Constraints:
     @property
     def owned_tied(self) -> int:
         """Number of tied rows that this rank owns; they come first."""
-        return int(np.searchsorted(self.tied.rows, self.layout.owned))
+        return int(np.searchsorted(self.rows.where(Kind.TIED), self.layout.owned))
 
 
 def build_constraints(
@@ -190,56 +156,39 @@ def build_constraints(
 
     given, has_row = conditions.given, conditions.has_row
     entries = Entries.concatenate([equality.entries, conditions.entries])
-    rows = given.chosen(has_row).concatenate(conditions.local)
-    layout = _along_subdomains(system.comm, equality.entries, rows.number)
+    known = given.chosen(has_row)
+    known = known.inserted(known.number.size, conditions.local)
+    layout = _along_subdomains(system.comm, equality.entries, known.number)
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
     c = np.zeros(layout.numbers.size)
     c[layout.local(equality.prescribed)] = equality.values
-    c[layout.local(rows.number)] = rows.rhs
+    c[layout.local(known.number)] = np.append(conditions.rhs[has_row], conditions.local_rhs)
+    rows = _in_local_order(layout, equality.prescribed, known)
 
     own_rows = np.full(has_row.size, -1, dtype=np.int64)
     own_rows[has_row] = layout.local(given.number[has_row])
-    # each row once
-    position, first = np.unique(layout.local(rows.number), return_index=True)
-    rows = rows.chosen(first)
-    slip = rows.tangential.mask
-    first_rows = np.arange(has_row.size) < system.contacts.size
-    contacts, held, tied = (
-        SurfaceRows(
-            position[chosen],
-            rows.contact[chosen],
-            rows.scale[chosen],
-            np.where(of_kind, own_rows, -1)[own],
-            conditions.share[own],
-        )
-        for chosen, of_kind, own in (
-            (~(rows.tied | rows.held | slip), ~given.held, first_rows),
-            (rows.held, given.held, first_rows),
-            (rows.tied, given.tied, given.tied),
-        )
+    scale, ends = (
+        np.where(has_row, given.scale, 1.0),
+        np.cumsum([system.contacts.size, system.tied.size]),
     )
-    friction = FrictionRows.build(
-        position[slip],
-        rows.tangential.chosen(slip),
-        rows.contact[slip],
-        rows.scale[slip],
-        system.gdim - 1,
-        conditions.sites,
-        system.comm,
+    contacts, tied = (
+        GivenRows(own_rows[own], conditions.share[own], scale[own])
+        for own in (slice(0, ends[0]), slice(ends[0], ends[1]))
     )
+    friction = FrictionRows.build(rows, system.gdim - 1, conditions.sites, system.comm)
     constraints = Constraints(
         matrix,
         layout,
+        rows,
         contacts,
-        held,
         tied,
         weights=np.repeat(copies.weight, system.gdim),
         nodes=first_of_rank(system.comm, directory.keys.size)[1],
         redundant=conditions.redundancy.dropped,
         infinite_gaps=conditions.infinite_gaps,
         coupling=_coupling(layout, conditions),
-        friction=_with_bounds(friction, system, conditions, contacts, layout),
+        friction=_with_bounds(friction, system, conditions, contacts, rows, layout),
     )
     return constraints, c
 
@@ -248,18 +197,29 @@ def _with_bounds(
     friction: FrictionRows,
     system: TornSystem,
     conditions: ConditionRows,
-    contacts: SurfaceRows,
+    contacts: GivenRows,
+    rows: RowTable,
     layout: DualLayout,
 ) -> FrictionRows:
     """Return the rows with the slip bounds and coefficients of the system. Collective."""
-    row = system.friction.row
-    scale = np.zeros(layout.numbers.size + 1)
-    scale[contacts.rows] = contacts.scale
-    normal = contacts.own_rows[row]
-    coefficient = np.asarray(system.friction.coefficient) * contacts.share[row] * scale[normal]
+    row, pressing = system.friction.row, np.append(rows.kind == Kind.CONTACT, False)
+    normal = np.where(pressing[contacts.own_rows[row]], contacts.own_rows[row], -1)
+    scale = np.where(normal >= 0, contacts.scale[row], 0.0)
+    coefficient = np.asarray(system.friction.coefficient) * contacts.share[row] * scale
     return friction.with_bounds(
         normal, conditions.leads, system.friction.bound, coefficient, layout
     )
+
+
+def _in_local_order(layout: DualLayout, supports: Numbers, conditions: RowTable) -> RowTable:
+    """Return the rows that this rank holds: gluing rows, but for supports and conditions."""
+    rows = RowTable.of_kind(layout.numbers, Kind.GLUE)
+    rows.kind[layout.local(supports)] = Kind.SUPPORT
+    position, first = np.unique(layout.local(conditions.number), return_index=True)
+    pairs = zip(rows.columns, conditions.chosen(first).columns, strict=True)
+    for column, of_conditions in pairs:
+        column[position] = of_conditions
+    return rows
 
 
 def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Numbers) -> DualLayout:
@@ -279,9 +239,9 @@ def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Number
 def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
     """Find the coupled rows' numbers and those that this rank holds. Collective."""
     given, coupled = conditions.given, conditions.redundancy.coupled
-    numbers, tied, tangential, tolerance = (
+    numbers, kind, tolerance = (
         concatenate_ranks(layout.comm, column[coupled])
-        for column in (given.number, given.tied, given.tangential.mask, conditions.tolerance)
+        for column in (given.number, given.kind, conditions.tolerance)
     )
     positions = np.flatnonzero(np.isin(numbers, layout.numbers))
     rows = layout.local(numbers[positions])
@@ -290,8 +250,7 @@ def _coupling(layout: DualLayout, conditions: ConditionRows) -> Coupling:
         numbers,
         conditions.redundancy.gram,
         conditions.redundancy.rigid,
-        tied,
-        tangential,
+        kind,
         tolerance,
         rows,
         positions,

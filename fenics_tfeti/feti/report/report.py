@@ -315,7 +315,10 @@ def _unknowns(
     """Count the unknowns and rows over all ranks; see `Report`. Collective."""
     constraints, comm = setup.constraints, system.comm
     owned, sites = constraints.owned_inequalities, constraints.owned_sites
-    force = constraints.contacts.scale * candidate.multipliers[constraints.inequality]
+    force = (
+        constraints.rows.scale[constraints.inequality]
+        * candidate.multipliers[constraints.inequality]
+    )
     counts = {
         "torn": data.load.size,
         "inequalities": owned,
@@ -353,7 +356,7 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     rows = candidate.projector.face.rows
     _, weak = coarse_space.weakly_resisted(Face.of_rows(constraints, rows), FACETED)
     owned = constraints.owned_contact_rows
-    contact, active = constraints.contacts.contact[: owned.size], rows[owned]
+    contact, active = constraints.rows.contact[owned], rows[owned]
     number = count_over_ranks(coarse_space.comm, contact)
     descriptions = []
     for z in weak.T.tocsr():

@@ -263,7 +263,7 @@ def _row_forces(
 ) -> RowForces:
     """Return the forces of all rows that this rank gave at their nodes. Collective."""
     forces = [
-        constraints.normal_forces(multipliers),
+        constraints.contacts.forces(multipliers),
         constraints.tied.forces(multipliers),
         friction_force,
     ]

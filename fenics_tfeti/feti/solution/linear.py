@@ -24,7 +24,8 @@ from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.unresisted import raise_unresisted
 from fenics_tfeti.feti.constraints.face import Face
-from fenics_tfeti.feti.constraints.rows import Constraints, SurfaceRows
+from fenics_tfeti.feti.constraints.row_table import GivenRows
+from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.pcpg import first_iterate, iterate_on, pcpg
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -107,8 +108,7 @@ class LinearProblem:
     @property
     def active(self) -> Mask:
         """The contact rows on the face, (contact rows,)."""
-        held = self.setup.constraints.held.own_rows >= 0
-        return held | np.append(self.operators.face.rows, False)[self._contacts.own_rows]
+        return np.append(self.operators.face.rows, False)[self._contacts.own_rows]
 
     @property
     def sticking(self) -> Mask:
@@ -130,7 +130,7 @@ class LinearProblem:
             for x in (candidate.recovered.displacement, self.system.coordinates)
         )
         size = max(ZERO * largest, rounding(reach, MANY))
-        gap = np.append(candidate.recovered.jumps, np.inf)[contacts.own_rows] / _own_scale(contacts)
+        gap = np.append(candidate.recovered.jumps, np.inf)[contacts.own_rows] / contacts.scale
         touching = ~self.active & (contacts.own_rows >= 0) & (np.abs(gap) <= size)
         force = np.linalg.norm(friction.at_sites(candidate.multipliers), axis=1)
         slip = np.linalg.norm(candidate.slips, axis=1) / friction.scale
@@ -139,7 +139,7 @@ class LinearProblem:
         return touching, friction.given(edge.astype(float)) > 0.0
 
     @property
-    def _contacts(self) -> SurfaceRows:
+    def _contacts(self) -> GivenRows:
         return self.setup.constraints.contacts
 
     def solve(self, data: LinearData, rtol: float) -> LinearSolution:
@@ -189,24 +189,23 @@ class LinearProblem:
     def _right_hand_sides(self, jumps: RowValues) -> Vector:
         """Return c (m,) on the face: `_forces` transposed. Collective."""
         constraints = self.setup.constraints
-        c = self._of_surfaces(jumps, lambda rows: rows.share * _own_scale(rows))
+        c = self._of_surfaces(jumps, lambda rows: rows.share * rows.scale)
         c += self._of_sites(self.shares[:, None] * jumps.tangential, constraints.friction.scale)
         return self.operators.face.part(c)
 
     def _fixed_multipliers(self, forces: RowValues) -> Vector:
         """Return multipliers (m,) off the face with the forces. Collective."""
         scale = self.setup.constraints.friction.scale
-        fixed = self._of_surfaces(forces, lambda rows: np.sign(rows.share) / _own_scale(rows))
+        fixed = self._of_surfaces(forces, lambda rows: np.sign(rows.share) / rows.scale)
         fixed += self._of_sites(forces.tangential, 1.0 / scale)
         return fixed - self.operators.face.part(fixed)
 
-    def _of_surfaces(self, values: RowValues, factor: Callable[[SurfaceRows], Vector]) -> Vector:
+    def _of_surfaces(self, values: RowValues, factor: Callable[[GivenRows], Vector]) -> Vector:
         """Return sums (m,) of values times factors at contact and tied rows. Collective."""
         constraints = self.setup.constraints
         total = np.zeros(constraints.size)
         for rows, given in (
             (constraints.contacts, values.normal),
-            (constraints.held, values.normal),
             (constraints.tied, values.tied),
         ):
             here = rows.own_rows >= 0
@@ -227,7 +226,7 @@ class LinearProblem:
         friction = constraints.friction
         at_sites = friction.scale[:, None] * friction.at_sites(multipliers)
         return RowValues(
-            constraints.normal_forces(multipliers),
+            constraints.contacts.forces(multipliers),
             self.shares[:, None] * friction.given(at_sites),
             constraints.tied.forces(multipliers),
         )
@@ -235,12 +234,12 @@ class LinearProblem:
     def _jumps(self, jumps: Vector) -> RowValues:
         constraints = self.setup.constraints
         friction, with_none = constraints.friction, np.append(jumps, 0.0)
-        inequality, held, tied = (
-            np.sign(rows.share) * with_none[rows.own_rows] / _own_scale(rows)
-            for rows in (constraints.contacts, constraints.held, constraints.tied)
+        normal, tied = (
+            np.sign(rows.share) * with_none[rows.own_rows] / rows.scale
+            for rows in (constraints.contacts, constraints.tied)
         )
         slips = friction.given(friction.at_sites(jumps) / friction.scale[:, None])
-        return RowValues(inequality + held, slips, tied)
+        return RowValues(normal, slips, tied)
 
     def _load(self, data: LinearData, fixed: Vector) -> Vector:
         """Return the load (n,) with the forces off the face."""
@@ -312,13 +311,6 @@ class LinearProblem:
             correction[coupling.rows] = closed[coupling.positions]
         u: Vector = torn - F.constraint_forces(correction) / constraints.weights
         return u
-
-
-def _own_scale(rows: SurfaceRows) -> Vector:
-    """Return t of each row given; 1 for no row of B."""
-    scale = np.append(np.zeros(rows.rows.max(initial=-1) + 1), 1.0)
-    scale[rows.rows] = rows.scale
-    return scale[rows.own_rows]
 
 
 def _face_of(constraints: Constraints, candidate: Candidate) -> Face:

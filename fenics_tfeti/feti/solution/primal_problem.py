@@ -258,11 +258,13 @@ class PrimalProblem:
         self, recovered: Recovered, multipliers: Vector, deformation: Vector
     ) -> dict[str, float]:
         """Return penetration, smallest force and complementarity, as in `Certificate`."""
-        contacts, row_bodies = self.setup.constraints.contacts, self.setup.row_bodies
-        scale = row_bodies.largest(deformation, contacts.rows.size)
-        distance = recovered.jumps[contacts.rows] / contacts.scale
+        constraints, row_bodies = self.setup.constraints, self.setup.row_bodies
+        rows = constraints.inequality
+        contacts = constraints.rows.chosen(rows)
+        scale = row_bodies.largest(deformation, rows.size)
+        distance = recovered.jumps[rows] / contacts.scale
         distance /= np.where(scale > 0.0, scale, np.inf)
-        force = multipliers[contacts.rows] * contacts.scale
+        force = multipliers[rows] * contacts.scale
         force /= self._largest_of_contact(contacts.contact, force)
         largest = self._largest(
             penetration=np.maximum(distance, 0.0),

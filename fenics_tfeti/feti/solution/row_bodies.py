@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_buffers, count_over_ranks
@@ -45,9 +46,10 @@ class RowBodies:
         count = count_over_ranks(system.comm, of_subdomain)
         of_unknown = np.repeat(of_subdomain, np.diff(ends))
         row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
-        joined = np.append(constraints.tied.rows, constraints.held.rows)
+        table = constraints.rows
+        joined = np.append(table.where(Kind.TIED), table.where(Kind.HELD))
         pairs = _pairs(*_bodies_of_rows(constraints, joined, of_unknown))
-        numbers = np.append(constraints.contacts.contact, constraints.friction.contact)
+        numbers = table.contact[table.where(Kind.CONTACT, Kind.TANGENT)]
         contacts = count_over_ranks(system.comm, numbers)
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
         return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)

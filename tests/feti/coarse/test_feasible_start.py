@@ -21,7 +21,9 @@ def test_feasible_start(load):
     constraints = solver.setup.constraints
     multipliers = start[constraints.inequality]
     assert np.all(multipliers >= 0)
-    assert np.sum(multipliers * constraints.contacts.scale) == pytest.approx(-load[2], rel=1e-10)
+    assert np.sum(multipliers * constraints.rows.scale[constraints.inequality]) == pytest.approx(
+        -load[2], rel=1e-10
+    )
 
 
 def test_start_of_rigid_bodies():

@@ -9,6 +9,7 @@ from torn import column, cube, with_fields, with_prescribed
 
 from fenics_tfeti import InputError
 from fenics_tfeti.feti import ContactRows, Prescribed, TornSystem
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.constraints.scaling import node_weights
 
@@ -98,7 +99,9 @@ def test_contact_row_is_that_of_the_chapter_on_glued_displacements():
     u = np.concatenate(
         [np.tile([0.0, 0.0, float(s.body)], s.nodes.size) for s in system.subdomains]
     )
-    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.contacts.scale
+    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.rows.scale[
+        constraints.inequality
+    ]
     np.testing.assert_allclose(jump, -1.0, rtol=1e-14)  # (u_slave - u_master)'n, n downwards
 
 
@@ -106,7 +109,7 @@ def test_prescribed_part_of_a_normal_goes_to_the_gap():
     """A row of which it is all is dropped."""
     rows = one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0)
     constraints, c = build_constraints(eight_cubes(prescribed=fixed(0, 0.5), contacts=rows))
-    gap = c[constraints.inequality] / constraints.contacts.scale
+    gap = c[constraints.inequality] / constraints.rows.scale[constraints.inequality]
     np.testing.assert_allclose(gap, 1.0 - 0.6 * 0.5)
     decided = eight_cubes(prescribed=fixed(2, 0.1), contacts=one_row(CENTRE, (0, 0, 1), gap=0.2))
     assert build_constraints(decided)[0].contacts.own_rows.tolist() == [-1]
@@ -189,7 +192,9 @@ def test_infinite_gaps_are_no_rows():
     constraints, c = build_constraints(with_fields(column(), "contacts", gap=gap))
     assert constraints.infinite_gaps == 6
     np.testing.assert_array_equal(constraints.contacts.own_rows < 0, np.isinf(gap))
-    np.testing.assert_allclose(c[constraints.inequality] / constraints.contacts.scale, 0.1)
+    np.testing.assert_allclose(
+        c[constraints.inequality] / constraints.rows.scale[constraints.inequality], 0.1
+    )
 
 
 def test_infinite_gap_of_a_row_that_prescribed_displacements_decide():
@@ -223,14 +228,14 @@ def test_gram_matrix_of_random_rows(seed, weighted):
     system = random_system(seed)
     weights = random_weights(system, seed) if weighted else None
     constraints, _ = build_constraints(system, weights)
-    coupling, tied = constraints.coupling, constraints.tied
+    coupling, tied = constraints.coupling, constraints.rows.where(Kind.TIED)
     B = constraints.matrix.toarray() / np.sqrt(constraints.weights)
     expected = np.eye(len(B))
     expected[np.ix_(coupling.rows, coupling.rows)] = coupling.gram.toarray()
     np.testing.assert_allclose(B @ B.T, expected, rtol=0.0, atol=1e-14)
-    assert np.isin(coupling.rows, np.append(constraints.inequality, tied.rows)).all()
-    np.testing.assert_array_equal(np.isin(coupling.rows, tied.rows), coupling.tied)
-    assert constraints.equality[tied.rows].all()
+    assert np.isin(coupling.rows, np.append(constraints.inequality, tied)).all()
+    np.testing.assert_array_equal(np.isin(coupling.rows, tied), coupling.tied)
+    assert constraints.equality[tied].all()
 
 
 def test_jumps_of_random_rows_are_distances():
@@ -242,16 +247,12 @@ def test_jumps_of_random_rows_are_distances():
     value |= {node: np.zeros(3) for node in system.prescribed.nodes}
     u = np.concatenate([[value[n] for n in s.nodes] for s in system.subdomains]).ravel()
     jump = constraints.matrix @ u
-    contacts, tied = constraints.contacts, constraints.tied
-    for rows, own, held, scale in (
-        (system.contacts, contacts.own_rows, constraints.inequality, contacts.scale),
-        (system.tied, tied.own_rows, tied.rows, tied.scale),
-    ):
+    for rows, given in ((system.contacts, constraints.contacts), (system.tied, constraints.tied)):
         terms = np.sum(rows.coefficients * [value[n] for n in rows.nodes], axis=1)
         distance = np.add.reduceat(terms, rows.offsets[:-1]) / rows.length
-        at = np.searchsorted(held, own)
-        np.testing.assert_allclose(jump[own] / scale[at], distance, rtol=1e-10, atol=1e-12)
-        np.testing.assert_allclose(c[own] / scale[at], rows.gap / rows.length, rtol=1e-12)
+        own, scale = given.own_rows, given.scale
+        np.testing.assert_allclose(jump[own] / scale, distance, rtol=1e-10, atol=1e-12)
+        np.testing.assert_allclose(c[own] / scale, rows.gap / rows.length, rtol=1e-12)
 
 
 def test_coefficients_of_a_node_on_both_surfaces_add_up():

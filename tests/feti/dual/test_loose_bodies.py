@@ -61,7 +61,8 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     operators = operators_on(problem, np.zeros(rows.size, dtype=bool))
     assert operators.loose is not None
     settled = operators.loose.at_least_penetration(problem.c)
-    contact = problem.constraints.contacts.contact
+    constraints = problem.constraints
+    contact = constraints.rows.contact[constraints.inequality]
     penetration = np.where(contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
     squeezing = np.zeros_like(settled)
     squeezing[rows] = penetration
@@ -87,7 +88,8 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     solver = TornSolver(with_loose_cubes(0.1, SHIFTS))
     problem = solver.dual_problem()
     rows, size = problem.constraints.inequality, problem.d.size
-    contact = problem.constraints.contacts.contact
+    constraints = problem.constraints
+    contact = constraints.rows.contact[constraints.inequality]
     active = np.zeros(rows.size, dtype=bool)
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True

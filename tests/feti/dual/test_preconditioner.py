@@ -152,7 +152,7 @@ def test_forces_that_turn_by_rounding_do_not_see_the_kernel(seed):
     solver = TornSolver(in_a_corner(seed), Options(preconditioner="lumped"))
     constraints, preconditioner = solver.setup.constraints, solver.setup.preconditioner
     on_floor = constraints.friction.contact == 0
-    active = constraints.contacts.contact == 0
+    active = constraints.rows.contact[constraints.inequality] == 0
     # the component along y of each tangent of the floor
     tangents = np.where(on_floor[:, None], solver.system.friction.tangents[:, :, 1], 0.0)
     across = balls.tangents(balls.directions(tangents))

@@ -39,7 +39,7 @@ def changed_rows(system, force_of_walls=0.0):
     ends = np.cumsum([0, *(s.size for s in system.subdomains)])
     bodies = RowBodies.build(system, constraints, ends)
     multipliers = np.random.default_rng(0).standard_normal(constraints.size)
-    walls = constraints.inequality[constraints.contacts.contact == 1]
+    walls = constraints.inequality[constraints.rows.contact[constraints.inequality] == 1]
     multipliers[walls] = force_of_walls
     c = np.zeros(constraints.size)
     c[constraints.inequality[: system.contacts.size]] = system.contacts.gap
