@@ -96,6 +96,14 @@ class Options:
     monitor: bool = False
     error_if_not_converged: bool = True
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether F, the preconditioner and conjugate gradients on faces stay as they are.
+
+        There is then no deflation, and neither weights of stiff modes nor direct solvers of faces.
+        """
+        return self.deflation == "off"
+
     def __post_init__(self) -> None:
         """Check the ranges of numbers."""
         for name in ("rtol", "smalbe_beta"):

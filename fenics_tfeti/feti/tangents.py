@@ -303,6 +303,6 @@ def _held_bodies(system: TornSystem, centres: Vector, sizes: Vector) -> Mask:
     held = contacts.chosen(np.flatnonzero(np.asarray(contacts.held)))
     rows = rows_on_bodies(system, [system.tied, held], centres, sizes)
     modes = rows.shape[1] // bodies
-    _, free = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
-    rotations = np.abs(free.toarray()).reshape(bodies, modes, -1)[:, gdim:]
+    weak = weak_motions(system.comm, rows, np.zeros((bodies, modes, modes)), WEAK, ZERO)
+    rotations = np.abs(weak.motions.toarray()).reshape(bodies, modes, -1)[:, gdim:]
     return rotations.max(axis=(1, 2), initial=0.0) <= NEGLIGIBLE

@@ -41,16 +41,19 @@ def rounding(size: T, n: int = 1) -> T:
 # -- thresholds of rank, work and resistance -------------------------------------------------------
 
 # relative size treated as zero: in the rank of matrices whose rows or columns have length 1, in the
-# work of loads relative to force times displacement, and in closing speeds. Rows of B that resist a
-# rigid motion of a root mean square displacement of 1 by no more, ||B R xi||, leave it free
+# work of loads relative to force times displacement, and in closing speeds
 ZERO = 1e-9
-# resistance ||B R xi|| that GG', which squares it, does not show: half the digits. Motions up to it
-# are pinned in the factor of GG' and corrected. At half of it no problem takes another number of
+# resistance ||B R xi|| of rows of B to rigid motions of a root mean square displacement of 1,
+# `coarse.resistance.Resistance`. Up to ZERO they leave a motion free.
+# GG', which squares it, does not show what is weaker than this, half the digits: such motions are
+# pinned in the factor of GG' and corrected. At half of it no problem takes another number of
 # products
 WEAK = 1e-4
-# the same below which only the tilt of normals on faceted surfaces resists, which holds nothing:
-# the report names the motions
+# what is less is only the tilt of normals on faceted surfaces, which holds nothing: the report
+# names the motions
 FACETED = 1e-2
+# equality rows that resist less are soft supports: contact takes the load first
+SOFT = 0.1
 # 1 - |cos| of the angle between rows of B that count as one row; eigenvalue of a Gram matrix of
 # unit rows that counts as zero
 PARALLEL = rounding(1.0, GIVEN)

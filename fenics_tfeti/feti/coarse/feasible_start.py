@@ -58,17 +58,18 @@ def feasible_start(
     supports = Projector.build(coarse_space, Face.supports(constraints))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    free, weak = coarse_space.softly_supported()
-    if free.shape[1] + weak.shape[1]:
+    resistance = coarse_space.resistance_of_supports()
+    if resistance.values.size:
+        free, soft = resistance.free, resistance.resisted
         prescribed = coarse_space.prolong(supports.coefficients(c))
         gaps = unit * (c - prescribed)[constraints.inequality]
         if close_gaps:
             gaps *= SURFACE
-        elif not weak.shape[1]:
+        elif not soft.shape[1]:
             gaps = np.where(np.isfinite(gaps), 0.0, gaps)
         some = coarse_space.comm.allreduce(int(np.count_nonzero(bound.radius + bound.slope)))
         # with friction, soft supports carry what contact and friction need not
-        motions = free if some else sp.hstack([free, weak], format="csc")
+        motions = free if some else sp.hstack([free, soft], format="csc")
         for group in split_by_groups(system, coarse_space, motions, e):
             if not group.counts(group.work):
                 continue
@@ -147,20 +148,21 @@ def _forces_with_friction(
     gaps = gaps[: owned.size]
     closing = np.isfinite(gaps)
     pressing, first = _side_by_side(comm, sp.diags(closing.astype(float)) @ moved_rows[owned])
-    mine = constraints.owned_sites
-    present = friction.present[mine]
+    owned_sites = constraints.owned_sites
+    present = friction.present[owned_sites]
     # a direction without a row is a column of zeros
     rubbing, first_rubbing = _side_by_side(
-        comm, sp.diags(present.ravel().astype(float)) @ moved_rows[friction.rows[mine].ravel()]
+        comm,
+        sp.diags(present.ravel().astype(float)) @ moved_rows[friction.rows[owned_sites].ravel()],
     )
     layout = constraints.layout
     number, radius, slope, normal = (
         concatenate_ranks(comm, part)
         for part in (
             layout.numbers[owned],
-            bound.radius[mine],
-            bound.slope[mine],
-            friction.normal_numbers(layout)[mine],
+            bound.radius[owned_sites],
+            bound.slope[owned_sites],
+            friction.normal_numbers(layout)[owned_sites],
         )
     )
     feasible, columns = _contact_and_friction(number, normal, radius, slope, present.shape[1])
@@ -181,7 +183,7 @@ def _forces_with_friction(
     multipliers[owned] = forces[first : first + owned.size]
     first = pressing.shape[1] + first_rubbing
     of_sites = forces[first : first + present.size].reshape(present.shape)
-    multipliers[friction.rows[mine][present]] = of_sites[present]
+    multipliers[friction.rows[owned_sites][present]] = of_sites[present]
     return constraints.layout.sum(multipliers)
 
 

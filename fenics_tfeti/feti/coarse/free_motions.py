@@ -57,7 +57,7 @@ def describe_free_motions(system: TornSystem, active: Mask, sticking: Mask) -> l
     ]
     rows = rows_on_bodies(system, parts, *centres_and_sizes(system)[:2])
     rows = (rows @ sp.block_diag([sp.csr_matrix(unit) for unit in units])).tocsr()
-    _, free = weak_motions(system.comm, rows, supports, FACETED, FACETED)
+    free = weak_motions(system.comm, rows, supports, FACETED, FACETED).motions
     own = sum(R.shape[1] for R in kernels)
     first, _ = first_of_rank(system.comm, own)
     motions = sp.csr_matrix((basis @ free)[first : first + own].T)

@@ -48,7 +48,7 @@ def closing_motion(coarse_space: CoarseSpace, c: Vector, pressing: Mask) -> Vect
     Motions that supports leave free close the pressing contact rows (i,) in the least squares
     sense, or are zero where they would be out of proportion to the gaps c.
     """
-    constraints, free = coarse_space.constraints, coarse_space.softly_supported()[0]
+    constraints, free = coarse_space.constraints, coarse_space.resistance_of_supports().free
     owned = constraints.owned_contact_rows
     rows = np.intersect1d(constraints.inequality[pressing], owned)
     size = _displacement(coarse_space, c, rows)

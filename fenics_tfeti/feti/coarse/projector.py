@@ -41,9 +41,10 @@ class Projector:
         known = coarse_space.faces.find(face)
         if known is not None:
             return Projector(coarse_space, face, **known)
-        z, weak = coarse_space.weakly_resisted(face)
+        resistance = coarse_space.resistance(face)
+        z = resistance.free
         free, single = _orthonormal_motions(coarse_space, z)
-        gram = GramInverse.build(coarse_space, face, free, single, weak)
+        gram = GramInverse.build(coarse_space, face, free, single, resistance.resisted)
         projector = Projector(coarse_space, face, free, z, gram)
         projector = replace(projector, passes=projector._passes())
         # without the coarse space, which owns the cache: no cycle keeps the factors in memory

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -37,23 +38,43 @@ _LARGE = 200
 _BLOCK, _ITERATIONS, _SHIFT = 8, 4, 0.01
 
 
+@dataclass(frozen=True)
+class Resistance:
+    """The motions of bodies that a face resists by no more than a limit."""
+
+    # (k,): (||B z||^2 + ||E z||^2)^(1/2) of each motion, at most the limit but for rounding
+    values: Vector
+    # (modes * bodies, k): orthonormal z; where bodies move by themselves, each is that of one body
+    motions: sp.csc_matrix
+    unresisted: float  # what is not more counts as none
+
+    @cached_property
+    def free(self) -> sp.csr_matrix:
+        """The motions that are not resisted at all."""
+        return self.motions[:, np.flatnonzero(self.values <= self.unresisted)].tocsr()
+
+    @cached_property
+    def resisted(self) -> sp.csr_matrix:
+        """The others."""
+        return self.motions[:, np.flatnonzero(self.values > self.unresisted)].tocsr()
+
+
 def weak_motions(
     comm: MPI.Intracomm,
     rows: sp.csr_matrix,
     supports: Vector,
     below: float,
     unresisted: float,
-) -> tuple[Vector, sp.csr_matrix]:
+) -> Resistance:
     """Return the motions of bodies that rows and elastic supports resist weakly or not at all.
 
     The rows (m, modes * bodies) are those of B of this rank, of unit length, for motions of bodies;
-    ||E z|| is what elastic supports resist. Returns (||B z||^2 + ||E z||^2)^(1/2) of each motion,
-    at most `below` but for rounding, and orthonormal z (modes * bodies, k), those of single bodies
-    first, and among these the translations. A motion of one body resisted by `unresisted` or less
-    counts as free. Collective.
+    ||E z|| is what elastic supports resist. Returns the motions that they resist by
+    no more than `below`, those of single bodies first, and among these the translations. A motion
+    of one body resisted by `unresisted` or less counts as free. Collective.
     """
     if rows.shape[1] <= _LARGE and _resist_all(comm, rows, supports, max(below, unresisted)):
-        return np.zeros(0), sp.csc_matrix((rows.shape[1], 0))
+        return Resistance(np.zeros(0), sp.csc_matrix((rows.shape[1], 0)), unresisted)
     E = _block_diagonal(supports)
     values, vectors = _of_single_bodies(comm, rows.tocsc(), supports)
     free = values <= unresisted
@@ -64,7 +85,7 @@ def weak_motions(
     alone, others = _block_columns(vectors, free), _block_columns(vectors, ~free)
     resistance, together = _of_several_bodies(comm, rows @ others, E @ others, below)
     motions = sp.hstack([alone, others @ together], format="csc")
-    return np.concatenate([values[free], resistance]), motions
+    return Resistance(np.concatenate([values[free], resistance]), motions, unresisted)
 
 
 def _resist_all(comm: MPI.Intracomm, B: sp.csr_matrix, supports: Vector, limit: float) -> bool:

@@ -24,19 +24,16 @@ from fenics_tfeti.feti.coarse.factor import (
     CoarseSolverKind,
     choose_coarse_solver,
 )
-from fenics_tfeti.feti.coarse.resistance import weak_motions
+from fenics_tfeti.feti.coarse.resistance import Resistance, weak_motions
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass
 from fenics_tfeti.feti.system import TornSystem
-from fenics_tfeti.feti.tolerances import WEAK, ZERO
+from fenics_tfeti.feti.tolerances import SOFT, WEAK, ZERO
 from fenics_tfeti.parallel import first_of_rank, largest_of_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
-
-# ||B R z|| of equality rows below which a motion is softly supported: contact takes the load first
-_SOFTLY = 0.1
 
 
 @dataclass(frozen=True)
@@ -209,49 +206,38 @@ class CoarseSpace:
         modes = self.kernels[congruent.first].shape[1]
         return self.ends[congruent.members][:, None] + np.arange(modes)
 
-    def weakly_resisted(
-        self, face: Face, below: float = WEAK
-    ) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """Return the rigid motions of bodies that a face resists not at all, and weakly.
+    def resistance(self, face: Face, below: float = WEAK) -> Resistance:
+        """Return the rigid motions of bodies that a face resists by no more than a limit.
 
-        By default, motions count as weak if their resistance, squared in GG', would be lost to
-        rounding. The motions z (modes * bodies, k) of `BodyMotions` are orthonormal; where bodies
-        move by themselves, each is that of one body. Collective.
+        By default these are the motions whose resistance, squared in GG', would be lost to
+        rounding. Collective.
         """
-        free, soft = self.softly_supported()
-        if not free.shape[1] + soft.shape[1]:
+        of_supports = self.resistance_of_supports()
+        if not of_supports.values.size:
             # the equality rows resist more than that already
-            return free, soft
-        return self._resisted(face, below)
+            return of_supports
+        return self._resistance(face, below)
 
-    def softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        """Return the motions of bodies that equality rows resist not at all, and softly: (z, z).
+    def resistance_of_supports(self) -> Resistance:
+        """Return the motions of bodies that equality rows resist softly, or not at all.
 
         Collective at first.
         """
-        return self._softly_supported
+        return self._of_supports
 
     @cached_property
-    def _softly_supported(self) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-        return self._resisted(Face.supports(self.constraints), _SOFTLY)
+    def _of_supports(self) -> Resistance:
+        return self._resistance(Face.supports(self.constraints), SOFT)
 
-    def _resisted(self, face: Face, below: float) -> tuple[sp.csr_matrix, sp.csr_matrix]:
+    def _resistance(self, face: Face, below: float) -> Resistance:
         owned = np.flatnonzero(face.rows[: self.constraints.layout.owned])
-        unresisted = max(ZERO, self.bodies.rounding)
         moved = self.bodies.moved[owned[np.diff(self.bodies.moved.indptr)[owned] > 0]]
         combinations = face.combinations()
         if combinations is not None:
             combinations = combinations[self.constraints.owned_sites]
             moved = sp.vstack([moved, combinations @ self.bodies.moved], format="csr")
-        resistance, z = weak_motions(
-            self.comm,
-            moved,
-            self.bodies.supports,
-            below,
-            unresisted,
-        )
-        free = resistance <= unresisted
-        return z[:, np.flatnonzero(free)].tocsr(), z[:, np.flatnonzero(~free)].tocsr()
+        unresisted = max(ZERO, self.bodies.rounding)
+        return weak_motions(self.comm, moved, self.bodies.supports, below, unresisted)
 
     def coarse_motions(self, z: Any) -> Any:
         """Return the coarse vectors of motions z of bodies, sparse if these are."""

@@ -51,7 +51,7 @@ class Coupling:
     positions: Numbers  # (h,): their positions in `numbers`
     owned: Mask  # (h,): which of them this rank owns
     comm: MPI.Intracomm
-    _last: list[GramInverse] = field(default_factory=list, init=False, repr=False, compare=False)
+    _last: list[RowInverse] = field(default_factory=list, init=False, repr=False, compare=False)
 
     @property
     def tied(self) -> Mask:
@@ -122,15 +122,15 @@ class Coupling:
         if self.comm.size > 1:
             self.comm.Allreduce(MPI.IN_PLACE, coupled)
 
-    def inverse(self, chosen: Mask) -> GramInverse:
+    def inverse(self, chosen: Mask) -> RowInverse:
         """Return W_RR^+ of the chosen rows (w,): the last one, unless R has changed."""
         if not (self._last and np.array_equal(self._last[0].chosen, chosen)):
-            self._last[:] = [GramInverse.build(self.gram, chosen, self.groups, self.rigid)]
+            self._last[:] = [RowInverse.build(self.gram, chosen, self.groups, self.rigid)]
         return self._last[0]
 
 
 @dataclass(frozen=True)
-class GramInverse:
+class RowInverse:
     """W_RR^+ = (I - N N') W_RR^- (I - N N'), with W_RR^- of independent rows and null vectors N."""
 
     chosen: Mask  # (w,): R
@@ -144,7 +144,7 @@ class GramInverse:
         chosen: Mask,
         groups: Sequence[Numbers] = (),
         rigid: sp.csr_matrix | None = None,
-    ) -> GramInverse:
+    ) -> RowInverse:
         """Factor W_RR.
 
         W is positive semidefinite with a diagonal of 1; the groups are its `dependent_groups` with
@@ -153,7 +153,7 @@ class GramInverse:
         Examples
         --------
         >>> W = sp.csr_matrix(np.array([[1.0, 1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]))
-        >>> inverse = GramInverse.build(W, np.array([True] * 3), dependent_groups(W))
+        >>> inverse = RowInverse.build(W, np.array([True] * 3), dependent_groups(W))
         >>> inverse.solve(np.array([1.0, 1.0, 2.0])).round(12).tolist()
         [0.5, 0.5, 2.0]
         """
@@ -174,7 +174,7 @@ class GramInverse:
         factor = _factor(W[rows][:, rows]) if rows.size else None
         where = (np.concatenate(row), np.concatenate(column))
         N = sp.csr_matrix((np.concatenate(data), where), (chosen.size, number))
-        return GramInverse(chosen, rows, N, factor)
+        return RowInverse(chosen, rows, N, factor)
 
     def solve(self, b: Vector) -> Vector:
         """Return W_RR^+ b_R as a vector (w,), zero outside R."""

@@ -242,7 +242,7 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     if sites or not tensile:
         return iterate.gradient
     face = Face.of(constraints, compressive)
-    free = problem.coarse_space.weakly_resisted(face)[0]
+    free = problem.coarse_space.resistance(face).free
     loose = LooseBodies.of(problem.coarse_space, face, free)
     return iterate.gradient if loose is None else loose.at_least_penetration(iterate.gradient)
 

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.constraints.coupling import GramInverse
+from fenics_tfeti.feti.constraints.coupling import RowInverse
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.deflation.stiff_modes import StiffModes
 from fenics_tfeti.feti.dual.operator import DualOperator
@@ -86,7 +86,7 @@ class DeluxeScaling:
         low_rank = [(x @ V) @ V.T for x, V in zip(blocks, self.modes, strict=True)]
         return self.flexibility * forces - self.F.interface.pack(low_rank)
 
-    def on_face(self, rows: Mask, inverse: GramInverse) -> Operator:
+    def on_face(self, rows: Mask, inverse: RowInverse) -> Operator:
         """Return x -> (W - CC')_RR^{-1} x, zero off the face. Collective.
 
         The mask `rows` (m,) is that of the face R, and the inverse is W_RR^{-1} of coupled rows. x
@@ -150,7 +150,7 @@ def _of_rows(
     return coupled, others.tocsr(), gram
 
 
-def _weighted_gram(C: sp.csr_matrix, inverse: GramInverse) -> sp.csr_matrix:
+def _weighted_gram(C: sp.csr_matrix, inverse: RowInverse) -> sp.csr_matrix:
     """Return C'W^{-1}C of the coupled rows."""
     k = C.shape[1]
     used = np.flatnonzero(C[np.flatnonzero(inverse.chosen)].getnnz(axis=0))

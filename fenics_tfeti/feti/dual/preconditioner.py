@@ -18,7 +18,7 @@ import scipy.linalg
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
-from fenics_tfeti.feti.constraints.coupling import GramInverse, null_space
+from fenics_tfeti.feti.constraints.coupling import RowInverse, null_space
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
@@ -166,7 +166,7 @@ class Preconditioner:
         moved = _without_rounding(sp.csr_matrix((turns[turning], places), shape) @ kernel)
         return kernel, moved, curvature[turning[first]][:, None]
 
-    def _inverse_of(self, rows: Mask) -> GramInverse:
+    def _inverse_of(self, rows: Mask) -> RowInverse:
         """Factor W_RR of rows (m,). Collective."""
         coupling = self.constraints.coupling
         return coupling.inverse(coupling.gather(rows.astype(float))[0] > 0.0)

@@ -142,12 +142,12 @@ class _Method:
             theta = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * state.theta**2))
             momentum = (state.theta - 1.0) / theta
             y, Fy = l + momentum * change, Fl + momentum * (Fl - state.Fl)
-        wanted = radius if self.bounds is None else self.bounds(l)
-        error = self._bounds_error(wanted, radius)
+        of_forces = radius if self.bounds is None else self.bounds(l)
+        error = self._bounds_error(of_forces, radius)
         accurate = residual <= turn.tolerance and error * np.sqrt(energy2) <= turn.tolerance
-        following = radius + _RELAXED * (wanted - radius)
+        following = radius + _RELAXED * (of_forces - radius)
         # no parts of bounds where nothing presses any more
-        following[wanted == 0.0] = 0.0
+        following[of_forces == 0.0] = 0.0
         following = radius if accurate else following
         project = self.project
         state = _State(l, Fl, y, Fy, theta, steepest, following, project.motion, project)
@@ -180,12 +180,12 @@ class _Method:
         self.turn.products.cg += 1
         return self.problem.constraints.layout.sum(self.problem.F(x))
 
-    def _bounds_error(self, wanted: Vector, radius: Vector) -> float:
+    def _bounds_error(self, of_forces: Vector, radius: Vector) -> float:
         """Return the difference of bounds relative to those that the forces make. Collective."""
         constraints = self.problem.constraints
-        mine, scale = constraints.owned_sites, constraints.friction.scale
-        change, size = (scale * x for x in (wanted - radius, wanted))
-        squares = self.problem.space.sums(*(float(x[mine] @ x[mine]) for x in (change, size)))
+        owned, scale = constraints.owned_sites, constraints.friction.scale
+        change, size = (scale * x for x in (of_forces - radius, of_forces))
+        squares = self.problem.space.sums(*(float(x[owned] @ x[owned]) for x in (change, size)))
         return float(np.sqrt(squares[0] / (squares[1] or 1.0)))
 
     def _set_of(self, l: Vector, radius: Vector) -> tuple[Mask, Mask]:

@@ -64,7 +64,7 @@ def proximal_newton(problem: DualProblem, start: Iterate, turn: Turn) -> Iterate
     if term is None:
         term = Proximal(bounds.project(state.multipliers), _FIRST * problem.unit)
     state, status = _solve_proximal(problem, bounds, term, state, turn)
-    multipliers = bounds.wanted(term, state)
+    multipliers = bounds.projected(term, state)
     iterate = _iterate(problem, start, state, multipliers, status)
     if status is not SolveStatus.CENTRED:
         return iterate
@@ -97,10 +97,10 @@ def _solve_proximal(
             accurate=_RESIDUAL * error / term.stiffness,
         )
         state = _on_the_way(problem, operators, bounds, term, state, following, turn.products)
-        wanted, error = bounds.wanted(term, state), bounds.error(term, state)
+        projected, error = bounds.projected(term, state), bounds.error(term, state)
         following_part = bounds.linear_part(term, state)
         turn.monitor(_step(problem, linear_part, following_part, state, turn.products))
-        unused = unused_friction(problem, operators.face, replace(state, multipliers=wanted))
+        unused = unused_friction(problem, operators.face, replace(state, multipliers=projected))
         residuals = (state.energy, error / np.sqrt(term.stiffness), unused)
         solved = all(residual <= turn.tolerance for residual in residuals)
         best, failures = (error, 0) if error <= 0.5 * best else (best, failures + 1)
@@ -109,15 +109,15 @@ def _solve_proximal(
             return state, SolveStatus.SOLVED
         if turn.is_spent or failures > _PATIENCE or interruption.agreed():
             return state, SolveStatus.STALLED
-        if error <= _INEXACT * bounds.norm(wanted - term.centre):
+        if error <= _INEXACT * bounds.norm(projected - term.centre):
             return state, SolveStatus.CENTRED
 
 
 def _iterate(
-    problem: DualProblem, start: Iterate, state: PCPGIterate, wanted: Vector, status: SolveStatus
+    problem: DualProblem, start: Iterate, state: PCPGIterate, projected: Vector, status: SolveStatus
 ) -> Iterate:
     """Return the iterate with multipliers P(l_k + rho v), on the face without the proximal term."""
-    iterate = iterate_on_face(problem, start, replace(state, multipliers=wanted), status)
+    iterate = iterate_on_face(problem, start, replace(state, multipliers=projected), status)
     on_face = replace(state, face=replace(state.face, proximal=None))
     iterate = replace(iterate, method=Method.NEWTON, on_face=on_face)
     return iterate.remembering(Method.NEWTON, state)
@@ -147,7 +147,7 @@ class _Bounds:
         """Return P(l_k + rho v)."""
         return self.project(term.forces(state.gradient))
 
-    def wanted(self, term: Proximal, state: PCPGIterate) -> Vector:
+    def projected(self, term: Proximal, state: PCPGIterate) -> Vector:
         """Return the multipliers with P(l_k + rho v) on these rows."""
         equality = self.problem.constraints.equality
         return np.where(equality, state.multipliers, self.forces(term, state))
@@ -242,9 +242,9 @@ def _step(
 ) -> ActiveSetStep:
     """Return what the monitor is told of a step between two sets. Collective."""
     constraints = problem.constraints
-    owned, mine = constraints.owned_inequalities, constraints.owned_sites
+    owned, owned_sites = constraints.owned_inequalities, constraints.owned_sites
     changed = np.count_nonzero((after.active != before.active)[:owned])
-    changed += np.count_nonzero((after.sticking != before.sticking)[mine])
+    changed += np.count_nonzero((after.sticking != before.sticking)[owned_sites])
     active = np.count_nonzero(after.active[:owned])
     active, changed = (int(n) for n in problem.space.sums(float(active), float(changed)))
     return ActiveSetStep(products.total, state.residual, active, changed)

@@ -354,12 +354,12 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     """Describe the motions that active rows resist weakly, and by which contacts. Collective."""
     constraints, coarse_space = setup.constraints, setup.projector.coarse_space
     rows = candidate.projector.face.rows
-    _, weak = coarse_space.weakly_resisted(Face.of_rows(constraints, rows), FACETED)
+    resistance = coarse_space.resistance(Face.of_rows(constraints, rows), FACETED)
     owned = constraints.owned_contact_rows
     contact, active = constraints.rows.contact[owned], rows[owned]
     number = count_over_ranks(coarse_space.comm, contact)
     descriptions = []
-    for z in weak.T.tocsr():
+    for z in resistance.resisted.T.tocsr():
         motion = z.toarray().ravel()
         closing = (coarse_space.bodies.moved[owned[active]] @ motion) ** 2
         squares = np.bincount(contact[active], closing, number)

@@ -245,7 +245,8 @@ def _follows(context: SolveContext) -> bool:
     if context.setup.constraints.friction.curved:
         return False
     coarse_space = context.setup.projector.coarse_space
-    loose = np.unique(coarse_space.softly_supported()[0].nonzero()[0] // coarse_space.bodies.modes)
+    free = coarse_space.resistance_of_supports().free
+    loose = np.unique(free.nonzero()[0] // coarse_space.bodies.modes)
     return context.options.method == "active_set" and loose.size > 1
 
 

@@ -298,9 +298,9 @@ class LinearProblem:
         coarse_space = projector.coarse_space
         forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
         strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
-        wanted = c + self.operators.face.curved(multipliers)
+        prescribed = c + self.operators.face.curved(multipliers)
         torn = strained + coarse_space.rigid_motion(
-            projector.coefficients(wanted - F.jumps(strained))
+            projector.coefficients(prescribed - F.jumps(strained))
         )
         jump = F.jumps(torn) - c
         correction = np.where(rows, jump, 0.0)

@@ -35,7 +35,7 @@ from fenics_tfeti.feti.dual.projected_gradients import projected_gradients
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
 from fenics_tfeti.feti.solution.attempts import most_spent
 from fenics_tfeti.feti.solution.certificate import Certificate
-from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
+from fenics_tfeti.feti.solution.certifier import Certifier
 from fenics_tfeti.feti.solution.progress import Progress, Stagnation
 from fenics_tfeti.feti.solution.recovery import (
     Recovered,
@@ -226,7 +226,7 @@ class _Loop:
     """The problem and the scale of one outer loop."""
 
     context: SolveContext  # with the data of this loop
-    primal: PrimalProblem
+    certifier: Certifier
     d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
     scale: EnergyScale  # the tolerances are relative to it
     bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
@@ -239,9 +239,9 @@ class _Loop:
         bounds: Bounds | None = None,
     ) -> _Loop:
         """Compute d_0 and the scale."""
-        primal = PrimalProblem(context.setup, context.data, context.body_names)
+        certifier = Certifier(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
-        return _Loop(context, primal, feasible.jumps - context.data.c, scale, bounds)
+        return _Loop(context, certifier, feasible.jumps - context.data.c, scale, bounds)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -348,15 +348,15 @@ class _Loop:
     def _with_radius(self, radius: Vector) -> _Loop:
         """Return the loop with other slip bounds."""
         context = replace(self.context, data=replace(self.context.data, radius=radius))
-        primal = PrimalProblem(context.setup, context.data, context.body_names)
-        return replace(self, context=context, primal=primal)
+        certifier = Certifier(context.setup, context.data, context.body_names)
+        return replace(self, context=context, certifier=certifier)
 
     def _certified(
         self, recovered: Recovered, multipliers: Vector, projector: Projector
     ) -> Candidate:
         """Measure how well displacements and multipliers solve (11.21)."""
-        certificate, energy = self.primal.certify(recovered, multipliers, projector.coarse_space)
-        slips, radius = self.primal.slips(recovered), self.context.data.radius
+        certificate, energy = self.certifier.certify(recovered, multipliers, projector.coarse_space)
+        slips, radius = self.certifier.slips(recovered), self.context.data.radius
         return Candidate(recovered, multipliers, certificate, energy, projector, slips, radius)
 
     def _completed(self, multipliers: Vector) -> Vector:

@@ -290,8 +290,8 @@ def _slips_against_friction(
     constraints = projector.coarse_space.constraints
     friction = constraints.friction
     along = balls.directions(friction.at_sites(multipliers))
-    mine = constraints.owned_sites & ~projector.face.sticking
-    sites = np.flatnonzero(mine & along.any(axis=1))
+    slipping = constraints.owned_sites & ~projector.face.sticking
+    sites = np.flatnonzero(slipping & along.any(axis=1))
     rows = friction.combined(along, jump.size)[sites] @ sp.diags(constraints.lengths_of_rows())
     slips = np.sum(friction.at_sites(jump)[sites] * along[sites], axis=1)
     return (-(rows @ projector.coarse_space.bodies.moved)).tocsr(), slips

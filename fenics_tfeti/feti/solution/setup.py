@@ -194,7 +194,7 @@ class DualSetup:
             system, options, local, F, package, of_all
         )
         preconditioner = scaling = None
-        if choice.kind == "dirichlet" and options.deflation != "off":
+        if choice.kind == "dirichlet" and not options.is_plain:
             modes = _stiff_modes(system, local, F, reactions)
             scaling = DeluxeScaling.build(F, modes, local.unit, package)
             if scaling is not None:
@@ -202,7 +202,7 @@ class DualSetup:
         if choice.kind != "none":
             apply = interface_operator(F, reactions, scaling)
             direct = None
-            if not of_all and options.deflation != "off":
+            if not of_all and not options.is_plain:
                 direct = DirectFaces.build(F, local.stiffness, local.unit, package)
             preconditioner = Preconditioner(apply, constraints, local.unit, scaling, direct)
         return DualSetup(
@@ -227,7 +227,7 @@ class DualSetup:
         the same, too. Raises `UnstableTangent` on all ranks if the inertia of the K_i shows that
         the glued tangent is not positive. Collective.
         """
-        if options.deflation == "off":
+        if options.is_plain:
             if self.negative:
                 raise InputError(
                     f"option 'deflation' is 'off', but the stiffness matrices have {self.negative} "

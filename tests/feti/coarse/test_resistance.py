@@ -62,8 +62,8 @@ def found(B: np.ndarray, supports: dict[int, np.ndarray]) -> tuple[np.ndarray, n
     of_bodies = np.zeros((B.shape[1] // MODES, MODES, MODES))
     for body, support in supports.items():
         of_bodies[body] = support
-    values, z = weak_motions(MPI.COMM_SELF, sp.csr_matrix(B), of_bodies, BELOW, UNRESISTED)
-    return values, z.toarray()
+    weak = weak_motions(MPI.COMM_SELF, sp.csr_matrix(B), of_bodies, BELOW, UNRESISTED)
+    return weak.values, weak.motions.toarray()
 
 
 @scenes
@@ -121,10 +121,10 @@ def test_motions_of_many_bodies_together():
 
 
 def test_no_bodies():
-    values, z = weak_motions(
+    weak = weak_motions(
         MPI.COMM_SELF, sp.csr_matrix((0, 0)), np.zeros((0, 6, 6)), BELOW, UNRESISTED
     )
-    assert values.shape == (0,) and z.shape == (0, 0)
+    assert weak.values.shape == (0,) and weak.motions.shape == (0, 0)
 
 
 @pytest.mark.ranks(2, 3)
@@ -140,9 +140,9 @@ def test_rows_on_several_ranks(bodies):
         rows[block, at + 6 : at + 12] = -rows[block, at : at + 6]
     rows[-2:, -6:] = rng.standard_normal((2, 6))
     own = sp.csr_matrix(rows[COMM.rank :: COMM.size])
-    values, z = weak_motions(COMM, own, np.zeros((bodies + 1, 6, 6)), 1e-4, 1e-12)
-    dense = z.toarray()
-    assert values.size == 6 + 4
+    weak = weak_motions(COMM, own, np.zeros((bodies + 1, 6, 6)), 1e-4, 1e-12)
+    dense = weak.motions.toarray()
+    assert weak.values.size == 6 + 4
     np.testing.assert_allclose(rows @ dense, 0.0, atol=1e-13)
     np.testing.assert_allclose(dense.T @ dense, np.eye(10), atol=1e-13)
     assert all(np.array_equal(dense, other) for other in COMM.allgather(dense))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.constraints.coupling import GramInverse, dependent_groups, null_space
+from fenics_tfeti.feti.constraints.coupling import RowInverse, dependent_groups, null_space
 
 pytestmark = pytest.mark.once
 
@@ -37,7 +37,7 @@ def test_inverse_is_the_pseudoinverse_of_the_chosen_rows(seed, columns, terms):
     rng = np.random.default_rng(seed)
     W = random_gram(rng, 40, columns, terms)
     chosen = rng.random(40) < rng.choice([0.3, 0.7, 1.0])
-    inverse = GramInverse.build(W, chosen, dependent_groups(W))
+    inverse = RowInverse.build(W, chosen, dependent_groups(W))
     found = np.stack([inverse.solve(unit) for unit in np.eye(40)], axis=1)
     at = np.ix_(chosen, chosen)
     expected = np.zeros((40, 40))
@@ -66,7 +66,7 @@ def test_rows_of_different_groups_depend_on_nothing_in_common():
 def test_no_rows_and_no_chosen_rows():
     assert dependent_groups(sp.csr_matrix((0, 0))) == []
     W = chain(3)
-    assert not GramInverse.build(W, np.zeros(3, dtype=bool)).solve(np.ones(3)).any()
+    assert not RowInverse.build(W, np.zeros(3, dtype=bool)).solve(np.ones(3)).any()
 
 
 def test_long_blocks_are_not_treated_as_dense_ones():
@@ -79,6 +79,6 @@ def test_long_blocks_are_not_treated_as_dense_ones():
     assert [g.tolist() for g in groups] == [[rows - 2, rows]]
     y = np.random.default_rng(0).normal(size=rows + 1)
     y[rows] = y[rows - 2]
-    found = GramInverse.build(W, np.ones(rows + 1, dtype=bool), groups).solve(W @ y)
+    found = RowInverse.build(W, np.ones(rows + 1, dtype=bool), groups).solve(W @ y)
     np.testing.assert_allclose(found, y, rtol=0.0, atol=1e-4)
     np.testing.assert_allclose(W @ found, W @ y, rtol=0.0, atol=1e-10)

@@ -15,7 +15,7 @@ from torn import column, in_units, with_fields, with_prescribed
 from fenics_tfeti.feti import Options, TornSolver, TornSystem
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
-from fenics_tfeti.feti.solution.primal_problem import PrimalProblem
+from fenics_tfeti.feti.solution.certifier import Certifier
 from fenics_tfeti.feti.solution.recovery import Recovered, balance_multipliers, recover_displacement
 
 pytestmark = pytest.mark.once
@@ -197,7 +197,7 @@ def recovered_from(
 
 def certificate_of(solver: TornSolver, multipliers: np.ndarray) -> Certificate:
     """Return the certificate of multipliers, and of the displacements that follow from them."""
-    problem = PrimalProblem(solver.setup, solver.data, solver.system.body_names)
+    problem = Certifier(solver.setup, solver.data, solver.system.body_names)
     return problem.certify(*recovered_from(solver, multipliers))[0]
 
 

@@ -53,8 +53,8 @@ class _BodyMeasures:
 
 
 @dataclass(frozen=True)
-class PrimalProblem:
-    """K, f, B and c of (11.21) on this rank."""
+class Certifier:
+    """Measures solutions by K, f, B and c of (11.21) on this rank."""
 
     setup: DualSetup  # K and B
     data: ContactData  # f, c and r
