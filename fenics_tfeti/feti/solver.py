@@ -426,7 +426,7 @@ class TornSolver:
             constraints.tied.forces(multipliers),
             tangential_forces(constraints, self.data, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),
-            friction.given(recovered.sticking.astype(float)) > 0.0,
+            friction.given(recovered.face.sticking.astype(float)) > 0.0,
             bound,
             multipliers,
             report,

@@ -73,6 +73,28 @@ class Face:
         )
 
     @staticmethod
+    def of_multipliers(
+        constraints: Constraints,
+        multipliers: Vector,
+        radius: Vector,
+        active: Mask | None = None,
+        slips: Vector | None = None,
+    ) -> Face:
+        """Return the face of feasible multipliers (m,), whose sites stick below their bounds (k,).
+
+        Contact rows (i,) that are active have a force by default. Without `slips` (k, gdim - 1) the
+        cost has no curvature.
+        """
+        forces = constraints.friction.at_sites(multipliers)
+        sticking = balls.inside(forces, radius)
+        curvature = np.zeros_like(radius)
+        if slips is not None:
+            curvature = np.where(sticking, 0.0, balls.curvature(forces, slips, radius))
+        if active is None:
+            active = multipliers[constraints.inequality] > 0.0
+        return Face.of(constraints, active, sticking, multipliers, curvature)
+
+    @staticmethod
     def of_rows(constraints: Constraints, rows: Mask) -> Face:
         """Return the face of some rows (m,), with zero multipliers of the others."""
         none = np.zeros(constraints.friction.size)

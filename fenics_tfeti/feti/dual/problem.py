@@ -16,7 +16,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
-from fenics_tfeti.qp import ProductSet, Space, balls
+from fenics_tfeti.qp import ProductSet, Space
 from fenics_tfeti.typing import Mask, Vector
 
 
@@ -57,18 +57,11 @@ class DualProblem:
         cost has no curvature.
         """
         constraints = self.constraints
-        friction = constraints.friction
         if active is None:
             active = multipliers[constraints.inequality] > 0.0
         forces = self.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
-        forces = friction.at_bound(forces, self.radius)
-        at_sites = friction.at_sites(forces)
-        sticking = balls.inside(at_sites, self.radius)
-        curvature = np.zeros(friction.size)
-        if slips is not None:
-            slipping = np.where(sticking, 0.0, 1.0)
-            curvature = slipping * balls.curvature(at_sites, slips, self.radius)
-        return Face.of(constraints, active, sticking, forces, curvature)
+        forces = constraints.friction.at_bound(forces, self.radius)
+        return Face.of_multipliers(constraints, forces, self.radius, active, slips)
 
     def multiplier_set(self, shift: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, without regard to Gl = e."""

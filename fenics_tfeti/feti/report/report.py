@@ -325,7 +325,7 @@ def _unknowns(
         "active": np.count_nonzero(force[:owned] > 0.0),
         "tied": constraints.owned_tied,
         "friction": np.count_nonzero(sites),
-        "sticking": np.count_nonzero(sites & candidate.recovered.sticking),
+        "sticking": np.count_nonzero(sites & candidate.recovered.face.sticking),
     }
     totals = comm.allreduce(np.array(list(counts.values()), dtype=np.int64))
     return {

@@ -95,7 +95,9 @@ class Certifier:
         Collective.
         """
         slips = self.setup.constraints.friction.at_sites(recovered.jumps)
-        negligible = recovered.sticking | self._slips_are_rounding(recovered.displacement, slips)
+        negligible = recovered.face.sticking | self._slips_are_rounding(
+            recovered.displacement, slips
+        )
         slips[negligible] = 0.0
         return slips
 
@@ -238,7 +240,7 @@ class Certifier:
         constraints, closing = self.setup.constraints, self.data.c.copy()
         rows = constraints.inequality
         closing[rows] = np.where(recovered.closed, closing[rows], np.minimum(closing[rows], 0.0))
-        closing[constraints.friction.on_rows(~recovered.sticking, closing.size)] = 0.0
+        closing[constraints.friction.on_rows(~recovered.face.sticking, closing.size)] = 0.0
         removed = np.broadcast_to(self.data.removed, closing.shape)
         closed2, removed2 = constraints.layout.space.dots((closing, closing), (removed, removed))
         return self.setup.local.unit * float(closed2 + _ROUNDED_ONCE**2 * removed2)
@@ -290,10 +292,10 @@ class Certifier:
         excess = weight * (np.linalg.norm(forces, axis=1) - radius)
         # of small forces the direction matters little
         across = weight * radius * np.linalg.norm(slip - forwards * along, axis=1)
-        slipping = ~recovered.sticking & (radius > 0.0)
+        slipping = ~recovered.face.sticking & (radius > 0.0)
         return self._largest(
             friction_excess=np.maximum(excess, 0.0),
-            slip_below_bound=np.linalg.norm(slip, axis=1)[recovered.sticking],
+            slip_below_bound=np.linalg.norm(slip, axis=1)[recovered.face.sticking],
             slip_across_force=across[slipping],
         )
 

@@ -222,7 +222,7 @@ class _FixedPoint:
         friction = self.context.setup.constraints.friction
         force = np.linalg.norm(friction.at_sites(candidate.multipliers), axis=1)
         excess = force - radius
-        slipping = ~candidate.recovered.sticking
+        slipping = ~candidate.recovered.face.sticking
         excess = friction.scale * np.where(slipping, np.abs(excess), np.maximum(excess, 0.0))
         bounds = friction.scale * radius
         error, bound, size = (self._dot(x, x) for x in (excess, bounds, friction.scale * force))

@@ -36,7 +36,7 @@ from fenics_tfeti.feti.solution.states import Candidate
 from fenics_tfeti.feti.system import RowValues, TornSystem
 from fenics_tfeti.feti.tolerances import MANY, ZERO, rounding
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import Products, balls
+from fenics_tfeti.qp import Products
 from fenics_tfeti.typing import Mask, Vector
 
 
@@ -318,14 +318,11 @@ def _face_of(constraints: Constraints, candidate: Candidate) -> Face:
 
     A row that touches without a force is where the solution has a kink: rounding would decide.
     """
-    multipliers, friction = candidate.multipliers, constraints.friction
+    multipliers = candidate.multipliers
     normal = multipliers[constraints.inequality]
     largest = largest_of_ranks(constraints.layout.comm, np.maximum(normal, 0.0))
     active = normal > ZERO * largest
-    forces = friction.at_sites(multipliers)
-    sticking = balls.inside(forces, candidate.radius)
-    curvature = balls.curvature(forces, candidate.slips, candidate.radius)
-    curvature = np.where(sticking, 0.0, curvature)
-    face = Face.of(constraints, active, sticking, multipliers, curvature).with_turning_forces()
+    radius, slips = candidate.radius, candidate.slips
+    face = Face.of_multipliers(constraints, multipliers, radius, active, slips)
     # of changes: what is fixed does not change
-    return replace(face, forces=np.zeros_like(multipliers))
+    return replace(face.with_turning_forces(), forces=np.zeros_like(multipliers))

@@ -55,7 +55,6 @@ from fenics_tfeti.feti.solution.states import Candidate, ContactData, Outcome
 from fenics_tfeti.feti.solution.strategy import Strategy
 from fenics_tfeti.feti.tolerances import CERTIFIED, FAR
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # bodies that the reason of an end without convergence names
@@ -249,11 +248,9 @@ class _Loop:
         none = np.zeros_like(data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.context.timer.phase("recovery"):
-            forces = setup.constraints.friction.at_sites(multipliers)
-            sticking = balls.inside(forces, data.radius)
-            face = Face.of(setup.constraints, active, sticking)
+            face = Face.of_multipliers(setup.constraints, multipliers, data.radius, active)
             projector = Projector.build(setup.projector.coarse_space, face)
-            recovered = Recovered(none, none, none, -data.c, active, sticking)
+            recovered = Recovered(none, none, none, -data.c, active, face)
             candidate = self._certified(recovered, multipliers, projector)
         return Outcome(candidate, Iterate(multipliers), SolveStatus.SOLVED, "converged", 0.0)
 

@@ -43,7 +43,7 @@ class Recovered:
     displacement: Vector  # (n,) u: copies of a node are equal, no contact is penetrated [m]
     jumps: Vector  # (m,) Bu - c
     closed: Mask  # (i,) contact rows with a force, and those that u_t penetrates
-    sticking: Mask  # (k,) sites of friction whose slip is zero
+    face: Face  # of the multipliers: the slip of its sites that stick is zero
 
 
 def balance_multipliers(
@@ -61,12 +61,11 @@ def balance_multipliers(
     friction, balanced, turns = coarse_space.constraints.friction, multipliers, 0
     limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
     while True:
-        sticking = balls.inside(friction.at_sites(balanced), radius)
-        face = Face.of(coarse_space.constraints, balanced[rows] > 0.0, sticking, balanced)
+        face = Face.of_multipliers(coarse_space.constraints, balanced, radius)
         projector = Projector.build(coarse_space, face.with_turning_forces())
-        corrected = _with_missing_forces(projector, e, balanced, radius, sticking)
+        corrected = _with_missing_forces(projector, e, balanced, radius)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
-        sliding = sticking & ~balls.inside(friction.at_sites(limited), radius)
+        sliding = face.sticking & ~balls.inside(friction.at_sites(limited), radius)
         if space.sums(float(np.count_nonzero(negative) + np.count_nonzero(sliding)))[0]:
             balanced = balanced.copy()
             balanced[rows[negative]] = 0.0
@@ -80,7 +79,7 @@ def balance_multipliers(
 
 
 def _with_missing_forces(
-    projector: Projector, e: Vector, multipliers: Vector, radius: Vector, sticking: Mask
+    projector: Projector, e: Vector, multipliers: Vector, radius: Vector
 ) -> Vector:
     """Return the multipliers with what is missing of G lambda = e; sites that slip at the bound."""
     coarse_space = projector.coarse_space
@@ -89,7 +88,8 @@ def _with_missing_forces(
     for _ in range(2):
         missing = e - coarse_space.restrict(multipliers)
         multipliers = multipliers + projector.least_norm(missing)
-        forces = balls.on_boundary(friction.at_sites(multipliers), radius, ~sticking)
+        slips = ~projector.face.sticking
+        forces = balls.on_boundary(friction.at_sites(multipliers), radius, slips)
         multipliers = friction.with_sites(multipliers, forces)
     return multipliers
 
@@ -125,9 +125,8 @@ def recover_displacement(
         _motions(F, projector, c, strained, multipliers, removed)
     )
     displacement, closed = close_constraints(F, c, torn, projector.face.rows, multipliers, unit)
-    sticking = projector.face.sticking
     jumps = F.jumps(displacement) - c
-    return Recovered(strained, torn, displacement, jumps, closed[rows], sticking)
+    return Recovered(strained, torn, displacement, jumps, closed[rows], projector.face)
 
 
 def _motions(

@@ -12,7 +12,6 @@ from fenics_tfeti.feti.solution.setup import DualSetup, SolveContext
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.tolerances import rounding
 from fenics_tfeti.parallel import largest_of_ranks
-from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
 # Lanczos steps for an upper bound of ||PFP||, the scale of SMALBE-M
@@ -87,13 +86,11 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
     setup, data = context.setup, context.data
     layout, rows = setup.constraints.layout, setup.constraints.inequality
     pressing = (data.feasible[rows] > 0.0) & ~shortened
-    friction = setup.constraints.friction
-    sticking = balls.inside(friction.at_sites(data.feasible), data.radius)
-    face = Face.of(setup.constraints, pressing, sticking)
+    face = Face.of_multipliers(setup.constraints, data.feasible, data.radius, pressing)
     projector = Projector.build(setup.projector.coarse_space, face)
     r = projector.remove_rigid_motion(layout.owned_part(d), d)[0]
     r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
-    r[friction.on_rows(~sticking, r.size)] = 0.0
+    r[setup.constraints.friction.on_rows(~face.sticking, r.size)] = 0.0
     if setup.preconditioner is None:
         with context.timer.phase("norm"):
             norm = setup.norm(ROUGH_LANCZOS_STEPS)
