@@ -159,9 +159,9 @@ def test_body_that_only_contact_holds_is_projected():
 def test_rotations_of_exact_tangents_are_no_free_motions(kind, free):
     setup = TornSolver(prepare_tangents(pressed_block(), kind)).setup
     nothing = Face.of_rows(setup.constraints, np.zeros(setup.constraints.size, dtype=bool))
-    motions, weak = setup.projector.coarse_space._resisted(nothing, WEAK)
+    resistance = setup.projector.coarse_space._resistance(nothing, WEAK)
     bodies = 2
-    assert motions.shape[1] == free * bodies and not weak.shape[1]
+    assert resistance.free.shape[1] == free * bodies and not resistance.resisted.shape[1]
 
 
 def test_deflation_is_needed():
