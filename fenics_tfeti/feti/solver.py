@@ -24,6 +24,7 @@ from fenics_tfeti.feti.constraints.feasibility import check_conditions
 from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.interface import Interface
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.constraints.rows import build_constraints
 from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
@@ -285,7 +286,7 @@ class TornSolver:
         force, gap = (constraints.layout.sum(x)[rows] for x in (force, gap))
         # scale^2 is the stiffness, relative to that of a weight, of the row's nodes in series
         # a guessed force closes the gap against the stiffness of the surface
-        unit, scale = SURFACE * self.setup.local.unit, constraints.rows.scale[rows]
+        unit, scale = SURFACE * self.setup.local.unit, constraints.rows.of(Kind.CONTACT).scale
         active = force / (unit * scale**2) > gap
         multipliers = np.zeros(constraints.size) if state is None else state.multipliers.copy()
         multipliers[rows] = np.where(active, force / scale, 0.0)

@@ -64,14 +64,13 @@ class FrictionRows:
     ) -> FrictionRows:
         """Collect the rows of each site, without bounds. Collective.
 
-        The table is of all rows that this rank holds, in local order. `own_sites` (g,) are the
-        sites of the contact rows that this rank gave.
+        The table is of the rows that this rank holds. `own_sites` (g,) are the sites of the contact
+        rows that this rank gave.
         """
-        positions_of_rows = table.where(Kind.TANGENT)
-        tangents = table.chosen(positions_of_rows)
+        tangents = table.of(Kind.TANGENT)
         sites, first, at = np.unique(tangents.site, return_index=True, return_inverse=True)
         rows = np.full((sites.size, directions), -1, dtype=np.int64)
-        rows[at.ravel(), tangents.direction] = positions_of_rows
+        rows[at.ravel(), tangents.direction] = tangents.number
         order = np.argsort(first)
         position = np.full(sites.size + 1, -1, dtype=np.int64)
         position[order] = np.arange(sites.size)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti.feti.constraints.dual_layout import DualLayout
-from fenics_tfeti.feti.constraints.row_table import GivenRows, Kind, RowTable
+from fenics_tfeti.feti.constraints.row_table import GivenRows
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.parallel import count_over_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -89,9 +89,7 @@ def hold_ground(
         constraints,
         matrix=sp.csr_matrix((values, (rows, columns)), shape),
         layout=DualLayout(layout.comm, numbers, np.arange(numbers.size)),
-        rows=constraints.rows.inserted(
-            layout.owned, RowTable.of_kind(numbers[constraints.size :], Kind.SUPPORT)
-        ),
+        rows=replace(constraints.rows, number=places[constraints.rows.number]),
         contacts=_moved(constraints.contacts, places),
         tied=_moved(constraints.tied, places),
         weights=weights,

@@ -1,4 +1,7 @@
-"""The table of the rows of B: what each one is, its contact, scale, site and direction."""
+"""The table of contact, tied and tangential rows of B: kind, contact, scale, site, direction.
+
+All other rows of B, which are most, are gluing rows and supports, equalities with no more data.
+"""
 
 from __future__ import annotations
 
@@ -14,51 +17,46 @@ from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 class Kind(IntEnum):
     """What a row of B is of."""
 
-    GLUE = 0
-    SUPPORT = 1
-    TIED = 2
-    HELD = 3  # a contact row that holds with equality
-    CONTACT = 4
-    TANGENT = 5  # of a site of friction
+    TIED = 0
+    HELD = 1  # a contact row that holds with equality
+    CONTACT = 2
+    TANGENT = 3  # of a site of friction
 
 
 @dataclass(frozen=True)
 class RowTable:
-    """Rows of B: those that a rank holds, in local order, or those of the conditions it gives."""
+    """The rows of the conditions that a rank gives, or those of B that it holds."""
 
-    number: Numbers  # (r,): global row number; -1 of a condition that is no row of B
+    # (r,): global number, or position among the rows that a rank holds, then ascending; -1 of a
+    # condition that is no row of B
+    number: Numbers
     kind: Numbers  # (r,): `Kind`
-    contact: Numbers  # (r,): number of the contact, of the first one; -1 for none
+    contact: Numbers  # (r,): number of the contact, of the first one
     scale: Vector  # (r,): makes B D^{-1} B' = 1 of the condition whose slave's sum has length 1
     site: Numbers  # (r,): global number of the contact row with friction; -1 of other kinds
     direction: Numbers  # (r,): number of the tangent; -1 of other kinds
-
-    @staticmethod
-    def of_kind(number: Numbers, kind: Kind) -> RowTable:
-        """Return gluing rows or supports."""
-        kinds, (contact, site, direction) = (
-            np.full(number.size, int(kind)),
-            np.full((3, number.size), -1, dtype=np.int64),
-        )
-        return RowTable(number.copy(), kinds, contact, np.ones(number.size), site, direction)
 
     @property
     def columns(self) -> Sequence[Array]:
         """All data as columns (r,)."""
         return list(vars(self).values())
 
+    def of(self, *kinds: Kind) -> RowTable:
+        """Return the rows of some kinds."""
+        return self.chosen(np.isin(self.kind, kinds))
+
     def where(self, *kinds: Kind) -> Numbers:
-        """Return the positions of the rows of some kinds, ascending."""
-        return np.flatnonzero(np.isin(self.kind, kinds))
+        """Return the numbers of the rows of some kinds."""
+        return self.number[np.isin(self.kind, kinds)]
 
     def chosen(self, rows: Numbers | Mask) -> RowTable:
         """Return some rows."""
         return RowTable(*(column[rows] for column in self.columns))
 
-    def inserted(self, at: int, rows: RowTable) -> RowTable:
-        """Return the rows with others from a position on."""
+    def concatenate(self, rows: RowTable) -> RowTable:
+        """Return these rows with others behind them."""
         pairs = zip(self.columns, rows.columns, strict=True)
-        return RowTable(*(np.concatenate([x[:at], y, x[at:]]) for x, y in pairs))
+        return RowTable(*(np.concatenate(pair) for pair in pairs))
 
 
 @dataclass(frozen=True)

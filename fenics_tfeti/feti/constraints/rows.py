@@ -7,7 +7,7 @@ node numbers and weights alone: gluing and Dirichlet rows by `equality`, contact
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from mpi4py import MPI
@@ -40,7 +40,7 @@ class Constraints:
 
     matrix: sp.csr_matrix  # (m, n): columns of this rank's subdomains, all rows with an entry there
     layout: DualLayout  # global numbers of the rows, and the ranks that share them
-    rows: RowTable  # (m,): those that this rank holds, in local order
+    rows: RowTable  # contact, tied and tangential rows that this rank holds, by local positions
     contacts: GivenRows  # the contact rows that this rank gave
     tied: GivenRows  # the tied rows that this rank gave
     weights: Vector  # (n,): diagonal of D for this rank's torn displacements
@@ -58,8 +58,7 @@ class Constraints:
     @property
     def held(self) -> Mask:
         """Which contact rows that this rank gave hold with equality."""
-        kind = np.append(self.rows.kind, -1)[self.contacts.own_rows]
-        return np.asarray(kind == Kind.HELD)
+        return np.isin(self.contacts.own_rows, self.rows.where(Kind.HELD))
 
     @property
     def size(self) -> int:
@@ -77,7 +76,9 @@ class Constraints:
     @property
     def equality(self) -> NDArray[np.bool_]:
         """Mask of the equality rows."""
-        return np.asarray(self.rows.kind < Kind.CONTACT)
+        mask = np.ones(self.size, dtype=bool)
+        mask[self.rows.where(Kind.CONTACT, Kind.TANGENT)] = False
+        return mask
 
     def lengths_of_rows(self) -> Vector:
         """Return the Euclidean norms (m,) of the rows of B over all ranks. Collective at first."""
@@ -92,6 +93,7 @@ class Constraints:
         """Tell, with one answer on all ranks, whether both number the same rows alike."""
         pairs = (
             (self.layout.numbers, other.layout.numbers),
+            (self.rows.number, other.rows.number),
             (self.rows.kind, other.rows.kind),
             (self.contacts.own_rows, other.contacts.own_rows),
             (self.tied.own_rows, other.tied.own_rows),
@@ -156,15 +158,15 @@ def build_constraints(
 
     given, has_row = conditions.given, conditions.has_row
     entries = Entries.concatenate([equality.entries, conditions.entries])
-    known = given.chosen(has_row)
-    known = known.inserted(known.number.size, conditions.local)
+    known = given.chosen(has_row).concatenate(conditions.local)
     layout = _along_subdomains(system.comm, equality.entries, known.number)
     shape = layout.numbers.size, sum(subdomain.size for subdomain in system.subdomains)
     matrix = sp.csr_matrix((entries.values, (layout.local(entries.rows), entries.columns)), shape)
     c = np.zeros(layout.numbers.size)
     c[layout.local(equality.prescribed)] = equality.values
     c[layout.local(known.number)] = np.append(conditions.rhs[has_row], conditions.local_rhs)
-    rows = _in_local_order(layout, equality.prescribed, known)
+    position, first = np.unique(layout.local(known.number), return_index=True)
+    rows = replace(known.chosen(first), number=position)
 
     own_rows = np.full(has_row.size, -1, dtype=np.int64)
     own_rows[has_row] = layout.local(given.number[has_row])
@@ -202,24 +204,14 @@ def _with_bounds(
     layout: DualLayout,
 ) -> FrictionRows:
     """Return the rows with the slip bounds and coefficients of the system. Collective."""
-    row, pressing = system.friction.row, np.append(rows.kind == Kind.CONTACT, False)
-    normal = np.where(pressing[contacts.own_rows[row]], contacts.own_rows[row], -1)
+    row = system.friction.row
+    pressing = np.isin(contacts.own_rows, rows.where(Kind.CONTACT))
+    normal = np.where(pressing, contacts.own_rows, -1)[row]
     scale = np.where(normal >= 0, contacts.scale[row], 0.0)
     coefficient = np.asarray(system.friction.coefficient) * contacts.share[row] * scale
     return friction.with_bounds(
         normal, conditions.leads, system.friction.bound, coefficient, layout
     )
-
-
-def _in_local_order(layout: DualLayout, supports: Numbers, conditions: RowTable) -> RowTable:
-    """Return the rows that this rank holds: gluing rows, but for supports and conditions."""
-    rows = RowTable.of_kind(layout.numbers, Kind.GLUE)
-    rows.kind[layout.local(supports)] = Kind.SUPPORT
-    position, first = np.unique(layout.local(conditions.number), return_index=True)
-    pairs = zip(rows.columns, conditions.chosen(first).columns, strict=True)
-    for column, of_conditions in pairs:
-        column[position] = of_conditions
-    return rows
 
 
 def _along_subdomains(comm: MPI.Intracomm, equality: Entries, conditions: Numbers) -> DualLayout:

@@ -21,6 +21,7 @@ import scipy.sparse as sp
 from fenics_tfeti.errors import first_few, format_point
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 from fenics_tfeti.feti.constraints.face import Face
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep
 from fenics_tfeti.feti.factors.cholesky import describe_package
 from fenics_tfeti.feti.files.arrays import write_whole
@@ -315,10 +316,7 @@ def _unknowns(
     """Count the unknowns and rows over all ranks; see `Report`. Collective."""
     constraints, comm = setup.constraints, system.comm
     owned, sites = constraints.owned_inequalities, constraints.owned_sites
-    force = (
-        constraints.rows.scale[constraints.inequality]
-        * candidate.multipliers[constraints.inequality]
-    )
+    force = constraints.rows.of(Kind.CONTACT).scale * candidate.multipliers[constraints.inequality]
     counts = {
         "torn": data.load.size,
         "inequalities": owned,
@@ -356,7 +354,8 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
     rows = candidate.projector.face.rows
     resistance = coarse_space.resistance(Face.of_rows(constraints, rows), FACETED)
     owned = constraints.owned_contact_rows
-    contact, active = constraints.rows.contact[owned], rows[owned]
+    contact = constraints.rows.of(Kind.CONTACT).contact[: owned.size]
+    active = rows[owned]
     number = count_over_ranks(coarse_space.comm, contact)
     descriptions = []
     for z in resistance.resisted.T.tocsr():

@@ -10,6 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.feti.coarse.space import CoarseSpace
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.recovery import Recovered
@@ -262,7 +263,7 @@ class Certifier:
         """Return penetration, smallest force and complementarity, as in `Certificate`."""
         constraints, row_bodies = self.setup.constraints, self.setup.row_bodies
         rows = constraints.inequality
-        contacts = constraints.rows.chosen(rows)
+        contacts = constraints.rows.of(Kind.CONTACT)
         scale = row_bodies.largest(deformation, rows.size)
         distance = recovered.jumps[rows] / contacts.scale
         distance /= np.where(scale > 0.0, scale, np.inf)

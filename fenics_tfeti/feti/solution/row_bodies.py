@@ -49,7 +49,7 @@ class RowBodies:
         table = constraints.rows
         joined = np.append(table.where(Kind.TIED), table.where(Kind.HELD))
         pairs = _pairs(*_bodies_of_rows(constraints, joined, of_unknown))
-        numbers = table.contact[table.where(Kind.CONTACT, Kind.TANGENT)]
+        numbers = table.of(Kind.CONTACT, Kind.TANGENT).contact
         contacts = count_over_ranks(system.comm, numbers)
         sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
         return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)

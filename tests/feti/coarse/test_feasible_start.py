@@ -8,6 +8,7 @@ from dense import DenseSystem
 from torn import column, cube
 
 from fenics_tfeti.feti import ContactRows, Friction, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.row_table import Kind
 
 pytestmark = pytest.mark.once
 
@@ -21,7 +22,7 @@ def test_feasible_start(load):
     constraints = solver.setup.constraints
     multipliers = start[constraints.inequality]
     assert np.all(multipliers >= 0)
-    assert np.sum(multipliers * constraints.rows.scale[constraints.inequality]) == pytest.approx(
+    assert np.sum(multipliers * constraints.rows.of(Kind.CONTACT).scale) == pytest.approx(
         -load[2], rel=1e-10
     )
 

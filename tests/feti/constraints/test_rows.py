@@ -99,9 +99,9 @@ def test_contact_row_is_that_of_the_chapter_on_glued_displacements():
     u = np.concatenate(
         [np.tile([0.0, 0.0, float(s.body)], s.nodes.size) for s in system.subdomains]
     )
-    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.rows.scale[
-        constraints.inequality
-    ]
+    jump = (constraints.matrix @ u)[constraints.inequality] / constraints.rows.of(
+        Kind.CONTACT
+    ).scale
     np.testing.assert_allclose(jump, -1.0, rtol=1e-14)  # (u_slave - u_master)'n, n downwards
 
 
@@ -109,7 +109,7 @@ def test_prescribed_part_of_a_normal_goes_to_the_gap():
     """A row of which it is all is dropped."""
     rows = one_row(CENTRE, (0.6, 0.0, 0.8), gap=1.0)
     constraints, c = build_constraints(eight_cubes(prescribed=fixed(0, 0.5), contacts=rows))
-    gap = c[constraints.inequality] / constraints.rows.scale[constraints.inequality]
+    gap = c[constraints.inequality] / constraints.rows.of(Kind.CONTACT).scale
     np.testing.assert_allclose(gap, 1.0 - 0.6 * 0.5)
     decided = eight_cubes(prescribed=fixed(2, 0.1), contacts=one_row(CENTRE, (0, 0, 1), gap=0.2))
     assert build_constraints(decided)[0].contacts.own_rows.tolist() == [-1]
@@ -193,7 +193,7 @@ def test_infinite_gaps_are_no_rows():
     assert constraints.infinite_gaps == 6
     np.testing.assert_array_equal(constraints.contacts.own_rows < 0, np.isinf(gap))
     np.testing.assert_allclose(
-        c[constraints.inequality] / constraints.rows.scale[constraints.inequality], 0.1
+        c[constraints.inequality] / constraints.rows.of(Kind.CONTACT).scale, 0.1
     )
 
 

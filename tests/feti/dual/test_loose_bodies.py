@@ -7,6 +7,7 @@ import pytest
 from torn import column, cube, node_rows, operators_on
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver, TornSystem
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.dual.active_set import _without_tensile_rows
 from fenics_tfeti.feti.dual.pcpg import PCPGIterate
 
@@ -61,8 +62,7 @@ def test_bodies_that_have_none_are_squeezed_on_both_sides():
     operators = operators_on(problem, np.zeros(rows.size, dtype=bool))
     assert operators.loose is not None
     settled = operators.loose.at_least_penetration(problem.c)
-    constraints = problem.constraints
-    contact = constraints.rows.contact[constraints.inequality]
+    contact = problem.constraints.rows.of(Kind.CONTACT).contact
     penetration = np.where(contact == 1, np.maximum(-settled[rows], 0.0), 0.0)
     squeezing = np.zeros_like(settled)
     squeezing[rows] = penetration
@@ -88,8 +88,7 @@ def test_rows_that_do_not_push_hold_no_body(force, holds):
     solver = TornSolver(with_loose_cubes(0.1, SHIFTS))
     problem = solver.dual_problem()
     rows, size = problem.constraints.inequality, problem.d.size
-    constraints = problem.constraints
-    contact = constraints.rows.contact[constraints.inequality]
+    contact = problem.constraints.rows.of(Kind.CONTACT).contact
     active = np.zeros(rows.size, dtype=bool)
     for k in range(len(SHIFTS)):
         active[9 + 54 * k : 18 + 54 * k] = True

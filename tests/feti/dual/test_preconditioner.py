@@ -17,6 +17,7 @@ from torn import column
 
 from fenics_tfeti.feti import Options, Prescribed, TornSolver, TornSystem
 from fenics_tfeti.feti.constraints.face import Face
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.dual.preconditioner import Choice
 from fenics_tfeti.qp import balls
 
@@ -152,7 +153,7 @@ def test_forces_that_turn_by_rounding_do_not_see_the_kernel(seed):
     solver = TornSolver(in_a_corner(seed), Options(preconditioner="lumped"))
     constraints, preconditioner = solver.setup.constraints, solver.setup.preconditioner
     on_floor = constraints.friction.contact == 0
-    active = constraints.rows.contact[constraints.inequality] == 0
+    active = constraints.rows.of(Kind.CONTACT).contact == 0
     # the component along y of each tangent of the floor
     tangents = np.where(on_floor[:, None], solver.system.friction.tangents[:, :, 1], 0.0)
     across = balls.tangents(balls.directions(tangents))

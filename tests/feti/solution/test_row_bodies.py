@@ -7,6 +7,7 @@ import pytest
 from torn import column, cube, node_rows
 
 from fenics_tfeti.feti import ContactRows, Options, TornSolver
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.solution.row_bodies import RowBodies, without_unloaded_groups
 
 pytestmark = pytest.mark.once
@@ -39,7 +40,7 @@ def changed_rows(system, force_of_walls=0.0):
     ends = np.cumsum([0, *(s.size for s in system.subdomains)])
     bodies = RowBodies.build(system, constraints, ends)
     multipliers = np.random.default_rng(0).standard_normal(constraints.size)
-    walls = constraints.inequality[constraints.rows.contact[constraints.inequality] == 1]
+    walls = constraints.inequality[constraints.rows.of(Kind.CONTACT).contact == 1]
     multipliers[walls] = force_of_walls
     c = np.zeros(constraints.size)
     c[constraints.inequality[: system.contacts.size]] = system.contacts.gap
