@@ -29,6 +29,7 @@ from fenics_tfeti.fem.contact.search.automatic import find_contacts
 from fenics_tfeti.fem.contact.solution.apart import wrong_side
 from fenics_tfeti.fem.contact.solution.results import Results
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
+from fenics_tfeti.fem.contact.solution.transfer import SolvedContact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellStrains
 from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
@@ -298,6 +299,33 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             self.bcs = as_conditions(self.bcs)
             self.contacts = as_contacts(self.contacts, self._exact)
             self.u = as_displacement(self.u, self.space)
+
+    def _check_coarse(self, coarse: Any) -> None:
+        """Check that a problem is the same one on another mesh, whatever the user gave as one."""
+        if not isinstance(coarse, type(self)):
+            raise InputError(
+                f"coarse is a {type(coarse).__name__}; a {self._kind} is expected, solved on "
+                "another mesh"
+            )
+        own, other = (problem.space.mesh.geometry.dim for problem in (self, coarse))
+        if other != own:
+            raise InputError(f"the coarse problem has {other} dimensions, this one has {own}")
+        keys, own_keys = coarse._torn.undeformed.keys, self._torn.undeformed.keys
+        if sorted(keys) != sorted(own_keys):
+            raise InputError(
+                f"the coarse problem has the contacts {keys}, this one has {own_keys}: give "
+                "both problems the same contacts under the same names"
+            )
+        if coarse._solved is None:
+            raise InputError("the coarse problem is not solved; call its solve() first")
+
+    def _solved_on(self, coarse: Any) -> list[SolvedContact]:
+        """Return the contact of a problem on another mesh. Collective."""
+        with raise_collectively(self.space.mesh.comm):
+            self._check_coarse(coarse)
+        with self._timer.phase("coarse contact"):
+            gathered = coarse._solved.gathered()
+        return [gathered[key] for key in self._torn.undeformed.keys]
 
     def _refresh(self) -> None:
         """Take what has changed since the last solve or the set-up."""

@@ -19,11 +19,13 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.solution.transfer import expected_contact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.fem.newton.rounding import Rounding
+from fenics_tfeti.fem.other_mesh import interpolated
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
@@ -148,12 +150,22 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._shear_over_bulk = 1.0 / largest  # mu / kappa of the least compressible subdomain
 
     def solve(
-        self, *, monitor: Monitor | None = None, checkpoint: str | os.PathLike[str] | None = None
+        self,
+        *,
+        coarse: NonlinearContactProblem | None = None,
+        monitor: Monitor | None = None,
+        checkpoint: str | os.PathLike[str] | None = None,
     ) -> Function:
         """Find the equilibrium at the present loads and supports, starting from `u`.
 
         Parameters
         ----------
+        coarse : NonlinearContactProblem, optional
+            The same problem on a coarser mesh (any mesh will do), solved at the same load: its
+            displacement, interpolated, and its pressures, with the motions of rigid bodies, are
+            where the Newton steps start. The contacts have to have the same kinds and names or,
+            without names, tags; the bodies of both meshes are in the same places. Slip is counted
+            from where it is without.
         monitor : callable, optional
             Called on all ranks as by `ContactProblem.solve`, and with a `NewtonStep` after each.
         checkpoint : path-like, optional
@@ -167,7 +179,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         Raises
         ------
         InputError
-            Wrong or contradictory data; a `u` with inverted cells.
+            Wrong or contradictory data; a `u` with inverted cells; a `coarse` that is not solved,
+            or has other contacts, bodies, or dimensions.
         UnresistedMotion
             A load pushes a body where nothing holds it.
         NotConverged
@@ -181,7 +194,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         with interruption.deferred():
             try:
                 with self._as_before_errors(), self._looking_over():
-                    self._solve(monitor, checkpoint)
+                    self._solve(coarse, monitor, checkpoint)
             finally:
                 self._timer.restart()
         self._view()
@@ -219,9 +232,16 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     def _was_hard(self) -> bool:
         return len(self.report.newton) > _HARD
 
-    def _solve(self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None) -> None:
+    def _solve(
+        self,
+        coarse: NonlinearContactProblem | None,
+        monitor: Monitor | None,
+        checkpoint: str | os.PathLike[str] | None,
+    ) -> None:
         self._is_solved = False
         self._refresh()
+        if coarse is not None:
+            self._start_from(coarse)
         bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
         load_step = LoadStep(
             self._torn,
@@ -262,6 +282,21 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
+
+    def _start_from(self, coarse: NonlinearContactProblem) -> None:
+        """Take displacement, contact forces and places of rigid bodies of another mesh."""
+        solved = self._solved_on(coarse)
+        undeformed = self._torn.undeformed
+        with self._timer.phase("coarse contact"):
+            start = interpolated(coarse.u, coarse._torn.bodies, self.u, self._torn.bodies)
+            fill_owned(self.u, start)
+            bodies = undeformed.bodies.restored(coarse._step.bodies)
+            self._torn.fill(self.u, bodies, is_small=False)
+            # areas, and the nodes that meet something, are those of the deformed surfaces
+            conditions = undeformed.deformed(self.u, replace(bodies, from_here=True))[0]
+            force = expected_contact(solved, conditions.pairings).normal_force
+        forces = conditions.slave_values(force)
+        self._step = replace(self._step, force=forces, bodies=bodies.saved())
 
     def _store_state(
         self, state: NewtonState, iteration: NewtonIteration, is_last: bool = True

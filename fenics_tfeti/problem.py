@@ -452,36 +452,12 @@ class ContactProblem(SteppedProblem[ContactReport]):
             return self.u
         return self._solve_exactly(self.geometry, solved, monitor, checkpoint)
 
-    def _solved_on(self, coarse: Any) -> list[SolvedContact]:
-        """Return the contact of a problem on another mesh, whatever the user gave as one."""
-        method = self.options.solver.method
-        with raise_collectively(self.space.mesh.comm):
-            if not isinstance(coarse, ContactProblem):
-                raise InputError(
-                    f"coarse is a {type(coarse).__name__}; a ContactProblem is expected, solved on "
-                    "another mesh"
-                )
-            if coarse.system.gdim != self.system.gdim:
-                raise InputError(
-                    f"the coarse problem has {coarse.system.gdim} dimensions, this one has "
-                    f"{self.system.gdim}"
-                )
-            keys, own_keys = coarse._torn.undeformed.keys, self._torn.undeformed.keys
-            if sorted(keys) != sorted(own_keys):
-                raise InputError(
-                    f"the coarse problem has the contacts {keys}, this one has {own_keys}: give "
-                    "both problems the same contacts under the same names"
-                )
-            if method != "active_set":
-                raise InputError(
-                    f"a coarse problem is a start for method='active_set'; with {method!r} leave "
-                    "it out"
-                )
-            if coarse._solved is None:
-                raise InputError("the coarse problem is not solved; call its solve() first")
-        with self._timer.phase("coarse contact"):
-            gathered = coarse._solved.gathered()
-        return [gathered[key] for key in own_keys]
+    def _check_coarse(self, coarse: Any) -> None:
+        if (method := self.options.solver.method) != "active_set":
+            raise InputError(
+                f"a coarse problem is a start for method='active_set'; with {method!r} leave it out"
+            )
+        super()._check_coarse(coarse)
 
     def _solve_linearised(
         self,

@@ -136,6 +136,18 @@ def test_wheel_rolls_on_rubber():
     assert result.force[1] == pytest.approx(0.02 * E, rel=1e-5)
 
 
+def test_places_of_bodies_on_another_mesh():
+    """A loaded lid starts where it is on the coarser mesh; on the same mesh it is at its end."""
+    moved = lid(translation=(0.0, None), force=(0.0, -0.05 * E), rotation=0.02)
+    coarse, again, finer = (rubber([{"obstacle": TOP, "body": moved}], n=n) for n in (2, 2, 4))
+    coarse.solve()
+    again.solve(coarse=coarse)
+    assert len(again.report.newton) == 1
+    finer.solve(coarse=coarse)
+    assert len(finer.report.newton) < len(coarse.report.newton)
+    assert finer.rigid_bodies[0].force[1] == pytest.approx(0.05 * E, rel=1e-6)
+
+
 def test_restored_problem_goes_on(tmp_path):
     """A checkpoint has the places of bodies: a new problem ends where the first one does."""
 

@@ -132,6 +132,13 @@ class ContactSet:
         parts = [values.at(found.key, self.dofs(found.pairing.slave)) for found in self.contacts]
         return np.concatenate([np.zeros((0, *values.shape)), *parts])
 
+    def slave_values(self, values: Vector) -> SlaveValues:
+        """Return values (k,) at the conditions of all contacts by their slave nodes."""
+        pairs = zip(self.contacts, self.positions, strict=True)
+        return SlaveValues(
+            {found.key: (self.dofs(found.pairing.slave), values[own]) for found, own in pairs}
+        )
+
     @property
     def entries(self) -> list[FoundContact | FoundTie]:
         """All contacts and tied pairs, by number."""
