@@ -40,6 +40,8 @@ _SHORTEST, _LONGEST = 1e-9, 1e-7
 _INNER = 1e-3
 # face solves of a step
 _MOST = 12
+# part of a change of loads and gaps that the response to it leaves
+_ALONG = 1e-4
 
 
 @dataclass(frozen=True)
@@ -179,16 +181,50 @@ class ContactHessian:
         balances.
         """
         right = self._flat(balance[0], self._gap, self._tied_gap, balance[1])
-        torn, conditions = self.load_step.torn, self.face.rows.conditions
+        # what bodies carry is mostly balanced by their loads and supports
+        at_nodes = self._flat(balance[0], self._gap, self._tied_gap, np.zeros_like(balance[1]))
+        size = self._space.norm(at_nodes)
+        begin = self.face.rows.conditions.bodies.motions
+        return self._improved(first, right, balance[1], begin, (rtol, size, negligible))
+
+    def response(self, load: Vector, gap: Vector, tied_gap: Vector, beyond: Vector) -> Change:
+        """Return the changes along changes of loads and gaps, as accurate as may be. Collective.
+
+        Loads (owned, gdim) are at the mesh's nodes, those beyond them at bodies; gaps are those of
+        the face's `contacts` and ties.
+        """
+        right = self._flat(load, gap, tied_gap, beyond)
+        solution = self.linear.approximate(self._data(right)[0], _INNER)
+        first = Change(solution.displacements, solution.forces)
+        accuracy = (_ALONG, self._space.norm(right), 0.0)
+        return self._improved(first, right, beyond, self._at_rest, accuracy).change
+
+    @property
+    def _at_rest(self) -> list[Vector]:
+        """The motions of bodies without displacement."""
+        return self.face.rows.conditions.motions_after([np.zeros(s.size) for s in self.used])
+
+    def _improved(
+        self,
+        first: Change,
+        right: Vector,
+        beyond: Vector,
+        begin: Sequence[Vector],
+        accuracy: tuple[float, float, float],
+    ) -> Correction:
+        """Return the solution of a right-hand side by GMRES, from a first one. Collective.
+
+        Bodies begin at their motions. The accuracy is that of `corrected`, relative to a force [N].
+        """
+        torn, (rtol, size, negligible) = self.load_step.torn, accuracy
         largest = np.abs(torn.at_owned_nodes(first.displacements))
-        size, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_step.rounding.extent
-        length = min(max(size, _SHORTEST * extent), _LONGEST * extent)
-        at_rest = conditions.motions_after([np.zeros(s.size) for s in self.used])
+        longest, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_step.rounding.extent
+        length = min(max(longest, _SHORTEST * extent), _LONGEST * extent)
+        at_rest, products = self._at_rest, 0
         # the forces of other rows are those of `first` already
         rows = self.face.held.size
         changes = np.where(self.face.held, first.forces.normal[:rows], 0.0)
-        begin, products = conditions.bodies.motions, 0
-        residual = right - self.times(first, changes, begin, length, balance[1])
+        residual = right - self.times(first, changes, begin, length, beyond)
 
         def step(v: Vector) -> tuple[tuple[Change, Vector], Vector]:
             nonlocal products
@@ -199,10 +235,7 @@ class ContactHessian:
             normal = change.forces.normal[:rows]
             return (change, v), self.times(change, normal, at_rest, length, beyond)
 
-        # what bodies carry is mostly balanced by their loads and supports
-        at_nodes = self._flat(balance[0], self._gap, self._tied_gap, np.zeros_like(balance[1]))
-        beta, size = self._space.norm(residual), self._space.norm(at_nodes)
-        tolerance = max(rtol * size, negligible)
+        beta, tolerance = self._space.norm(residual), max(rtol * size, negligible)
         parts, y, left = gmres(step, residual, self._space, tolerance=tolerance, max_it=_MOST)
         if not parts:
             return Correction(first)

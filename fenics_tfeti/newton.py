@@ -111,7 +111,7 @@ class NewtonStep:
 
 
 @dataclass(frozen=True)
-class _LinearisedStep:
+class LinearisedStep:
     """The solution of the linearised problem of a step."""
 
     face: Face
@@ -128,6 +128,9 @@ class NewtonIteration:
     """Newton steps of one load step, from a state to equilibrium."""
 
     solution: TornSolution  # of the last step
+    set_up: FrozenSetup  # of the last step that took GMRES
+    # along a path of equilibria tangents are those of saddles, too, and taken whole
+    _follows_path = False
 
     def __init__(
         self, load_step: LoadStep, options: NewtonOptions, timer: Timer, last: TornSolver | None
@@ -217,7 +220,7 @@ class NewtonIteration:
         excess = max([size / limit, of_volume, *np.divide(angles, limit)])
         return 1.0 if excess <= 1.0 else float(1.0 / excess)
 
-    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> _LinearisedStep:
+    def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> LinearisedStep:
         """Solve the linearised problem of a step.
 
         First with exact tangents on the face of the rows that press. Where the face leaves these
@@ -245,7 +248,7 @@ class NewtonIteration:
         assert step is not None
         return step
 
-    def _solve_again(self, face: Face, state: NewtonState) -> _LinearisedStep | None:
+    def _solve_again(self, face: Face, state: NewtonState) -> LinearisedStep | None:
         """Solve the linearised problem with the last set-up, if that is good for it. Collective."""
         interruption.check(self._load_step.torn.nodes.comm)
         frozen, self._frozen = self._frozen, None
@@ -259,9 +262,10 @@ class NewtonIteration:
             corrected = frozen.corrected(self._load_step, state, face, accuracy)
         if corrected is None or corrected.left > _FAILED:
             return None
+        self.set_up = frozen
         if corrected.solves <= _SLOW:
             self._frozen = frozen
-        return _LinearisedStep(face, corrected, frozen.solution)
+        return LinearisedStep(face, corrected, frozen.solution)
 
     def _accuracy(self, state: NewtonState) -> tuple[float, float]:
         """Return the part of its residual that GMRES leaves, and negligible forces [N]."""
@@ -277,7 +281,7 @@ class NewtonIteration:
         monitor: Monitor | None,
         is_last: bool = False,
         known: tuple[TornSystem, TornSystem] | None = None,
-    ) -> _LinearisedStep | None:
+    ) -> LinearisedStep | None:
         """Solve the linearised problem; None where another one should be tried. Collective.
 
         The system on another face of the state, and the one with its tangents, may be known.
@@ -311,7 +315,7 @@ class NewtonIteration:
         corrected = without = Correction(Change.of(solution), products=products)
         # forces of ties and bolts turn with them, too, and pressures follow the surface
         lacks = face.held.any() or face.rows.tied.size > 0
-        lacks = lacks or not have_symmetric_tangents(system.subdomains)
+        lacks = lacks or self._follows_path or not have_symmetric_tangents(system.subdomains)
         if any_rank(comm, [lacks]):
             linear = self.solver.linear_problem()
             hessian = ContactHessian(
@@ -333,18 +337,18 @@ class NewtonIteration:
                 if not is_last:
                     return None
                 corrected = without
-            self._frozen = FrozenSetup(face, linear, prepared.subdomains, solution)
+            self._frozen = self.set_up = FrozenSetup(face, linear, prepared.subdomains, solution)
             # near its end Newton's method goes to the equilibrium that is there
             is_far = state.equilibrium.residual > _FAR
-            if tangent == "projected" and is_far:
+            if tangent == "projected" and is_far and not self._follows_path:
                 corrected = corrected.downhill()
         free = describe_free_motions(system, solution.active, solution.sticking)
         report = replace(solution.report, free_motions=free)
         self.solution = replace(solution, report=report)
-        return _LinearisedStep(face, corrected, solution)
+        return LinearisedStep(face, corrected, solution)
 
     def _shortened(
-        self, last: NewtonState, increment: Vector, step: _LinearisedStep, length: float
+        self, last: NewtonState, increment: Vector, step: LinearisedStep, length: float
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
         on_face = any_rank(self._load_step.torn.nodes.comm, step.face.held)
@@ -353,10 +357,7 @@ class NewtonIteration:
                 displacement = last.displacement + length * increment
                 # forces that are all unknown are those at the end of the step
                 multipliers = step.multipliers(length if on_face else 1.0)
-                state = self._load_step.state_at(
-                    displacement, multipliers, last.bodies, self._least, last.rows
-                )
-                return state, length
+                return self._state_after(last, displacement, multipliers, length), length
             except (InputError, NotConverged) as error:
                 length *= 0.5
                 if length < _SHORTEST:
@@ -364,6 +365,14 @@ class NewtonIteration:
                         f"{self._free()}Newton's method cannot go on: already after "
                         f"{2.0 * length:.1g} of the step {error}. {_SMALLER}"
                     ) from None
+
+    def _state_after(
+        self, last: NewtonState, displacement: Vector, multipliers: Multipliers, part: float
+    ) -> NewtonState:
+        """Return the state at the end of a part of a step."""
+        return self._load_step.state_at(
+            displacement, multipliers, last.bodies, self._least, last.rows
+        )
 
     def _not_converged(self, state: NewtonState) -> str:
         end, report = state.equilibrium, self.solution.report

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -12,7 +12,8 @@ import numpy as np
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError, NotConverged
+from fenics_tfeti.arc_length import Arc, ArcIteration
+from fenics_tfeti.errors import InputError, NotConverged, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_residual
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
@@ -26,6 +27,7 @@ from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, es
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.other_mesh import interpolated
+from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
@@ -108,6 +110,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     """
 
     options: NewtonOptions
+    _arc: Arc | None = None  # the step of a path that is being solved
 
     _exact = _kind = "NonlinearContactProblem"
     _report_type = NonlinearReport
@@ -200,6 +203,74 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._view()
         return self.u
 
+    def follow(
+        self, set_load: Callable[[float], Any], begin: float, *, length: float, steps: int
+    ) -> Iterator[float]:
+        """Follow the path of equilibria past limit points of the load, and yield after each step.
+
+        The load of each step is found: it grows up to a limit point, falls beyond it, and may grow
+        again, as where an arch snaps through. Steps have a length in displacements; each is
+        accepted by `advance`, and halved where it fails. After two with at most 6 Newton steps they
+        are twice as long again, up to `length`. Equilibria need not be stable.
+
+        Parameters
+        ----------
+        set_load : callable
+            Called with a load t: sets values of the forms, such as those of Constants, or what
+            obstacles read. Prescribed displacements, loads on rigid bodies and the list of contacts
+            do not depend on t.
+        begin : float
+            The load at the present `u`, an equilibrium; the path goes towards larger loads.
+        length : float
+            The largest step: the root of the mean square of displacements of nodes [m].
+        steps : int
+            Number of steps. Leave the loop to end before.
+
+        Yields
+        ------
+        float
+            The load of an accepted step, which `set_load` was last called with.
+
+        Raises
+        ------
+        InputError
+            If nothing depends on the load, or prescribed displacements do; of a wrong argument.
+        NotConverged
+            That of a step of a thousandth of `length`; loads and `u` are at the last accepted step.
+
+        Examples
+        --------
+        >>> for t in problem.follow(set_load, 0.0, length=0.01, steps=40):  # doctest: +SKIP
+        ...     print(t, problem.results["floor"].force)
+        """
+        if not callable(set_load):
+            raise wrong_type("follow: set_load", set_load, "a function of the load")
+        check_positive(length, "follow: length")
+        arc, easy = Arc(set_load, begin, owned_values(self.u), length), 0
+        for _ in range(steps):
+            try:
+                while True:
+                    set_load(arc.load)
+                    self._arc = arc
+                    try:
+                        self._solve_step()
+                        break
+                    except NotConverged:
+                        set_load(arc.load)
+                        if arc.length < 2e-3 * length:
+                            raise
+                        arc, easy = replace(arc, length=0.5 * arc.length), 0
+            finally:
+                self._arc = None
+            assert isinstance(self._iteration, ArcIteration)
+            load = self._iteration.load
+            arc = arc.followed_by(self._torn.nodes, load, owned_values(self.u))
+            self.advance()
+            easy = easy + 1 if self._was_easy() else 0
+            if easy == 2:
+                arc, easy = replace(arc, length=min(2.0 * arc.length, length)), 0
+            yield load
+
     def mesh_error(self) -> MeshError:
         """Estimate the error of the mesh of the last solve. Collective.
 
@@ -258,7 +329,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             raise InputError(f"u cannot be the start of Newton's method: {error}") from None
         rounding = Rounding.of(self._torn.torn.assemble(), self._torn.nodes)
         load_step = replace(load_step, rounding=rounding)
-        iteration = NewtonIteration(load_step, self.options, self._timer, self._solver)
+        iteration = self._iteration = self._new_iteration(load_step)
         try:
             for state in iteration.run(first, monitor):
                 self._store_state(state, iteration, is_last=False)
@@ -282,6 +353,11 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
+
+    def _new_iteration(self, load_step: LoadStep) -> NewtonIteration:
+        """Return Newton's method at the present load, or along the path that is followed."""
+        data = load_step, self.options, self._timer, self._solver
+        return NewtonIteration(*data) if self._arc is None else ArcIteration(*data, self._arc)
 
     def _start_from(self, coarse: NonlinearContactProblem) -> None:
         """Take displacement, contact forces and places of rigid bodies of another mesh."""
