@@ -26,7 +26,7 @@ from fenics_tfeti.errors import (
 _LAZY = {
     name: f"fenics_tfeti.{module}"
     for module, names in {
-        "fem.contact.descriptions.contacts": "ContactPair Exact RigidObstacle",
+        "fem.contact.descriptions.contacts": "ContactPair Exact RigidObstacle SelfContact",
         "fem.contact.descriptions.friction": "Coulomb Tresca",
         "fem.contact.descriptions.partners": "Along Mapped Nearest Points",
         "fem.contact.descriptions.rigid_body": "RigidBody",

@@ -63,7 +63,7 @@ class Step:
 def write_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet, step: Step) -> None:
     """Write a checkpoint of a kind of problem on rank 0, or leave the old one. Collective."""
     nodes = conditions.boundary.nodes
-    parts = nodes.comm.gather(_arrays(step, nodes, conditions.keys))
+    parts = nodes.comm.gather(_arrays(step, nodes, conditions.histories))
     with raise_collectively(nodes.comm):
         if parts is not None:
             arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -74,7 +74,7 @@ def write_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet, 
             bodies = [*step.bodies.values()]
             arrays |= {
                 "problem": np.array([kind]),
-                "contacts": np.array(conditions.keys, dtype=np.str_),
+                "contacts": np.array(conditions.histories, dtype=np.str_),
                 "number": np.array(step.number),
                 "load": np.array([step.load, step.length, step.end]),
                 "easy": np.array(step.easy),
@@ -123,7 +123,7 @@ def _read(file: ArrayFile, kind: str, conditions: ContactSet, own: Numbers) -> S
     rows = positions(numbers, own)
     _check_same(file, "kinds", file.strings("problem"), [kind])
     keys = file.strings("contacts")
-    _check_same(file, "contacts", keys, conditions.keys)
+    _check_same(file, "contacts", keys, conditions.histories)
     bodies = _bodies(file)
     if bodies:
         _check_same(file, "rigid bodies", [*bodies], [f.key for f in conditions.bodies.frames])

@@ -53,7 +53,7 @@ _SLOW = 8
 # shortest part of a step that is tried
 _SHORTEST = 1e-3
 # the remedy for steps that fail
-_SMALLER = "Take shorter load steps: problem.steps(set_load, begin, end) halves those that fail"
+SMALLER = "Take shorter load steps: problem.steps(set_load, begin, end) halves those that fail"
 
 
 @dataclass(frozen=True)
@@ -363,7 +363,7 @@ class NewtonIteration:
                 if length < _SHORTEST:
                     raise NotConverged(
                         f"{self._free()}Newton's method cannot go on: already after "
-                        f"{2.0 * length:.1g} of the step {error}. {_SMALLER}"
+                        f"{2.0 * length:.1g} of the step {error}. {SMALLER}"
                     ) from None
 
     def _state_after(
@@ -388,7 +388,7 @@ class NewtonIteration:
             f"{end.penetration:.1e} and separation {end.separation:.1e} of the largest "
             f"displacement, law of friction broken by {end.friction:.1e}; newton_rtol is "
             f"{self._options.newton_rtol:g}{self._course()}{self._worst_contact(state)}"
-            f"{unfinished}. {_SMALLER}"
+            f"{unfinished}. {SMALLER}"
         )
 
     def _course(self) -> str:

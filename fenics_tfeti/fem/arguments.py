@@ -98,7 +98,9 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
 
     `exact` names for messages what measures gaps on the deformed mesh, if anything does.
     """
-    kinds = "ContactPair, RigidObstacle, TiedPair, PeriodicPair, BoltPreload or LinearRows"
+    kinds = (
+        "ContactPair, RigidObstacle, SelfContact, TiedPair, PeriodicPair, BoltPreload or LinearRows"
+    )
     if isinstance(contacts, str):
         raise InputError(
             f"contacts is {contacts!r}; a list of {kinds} is expected, or 'auto' where the "

@@ -128,6 +128,8 @@ class TornProblem:
         has_same_contacts = len(known) == len(contacts) and all(map(is_, known, contacts))
         if not (self._is_updated and has_same_contacts) or self.torn.has_moved():
             return False
+        if not self._search.has_all_patches():
+            return False
         prescribed = prescribed_values(self.space, bcs)
         pairs = (before.nodes, prescribed.nodes), (before.components, prescribed.components)
         if any_rank(self.nodes.comm, [not np.array_equal(*pair) for pair in pairs]):
@@ -135,6 +137,10 @@ class TornProblem:
         self.data = replace(self.data, bcs=bcs)
         self.undeformed = replace(self.undeformed, prescribed=prescribed)
         return True
+
+    def lacks_contact(self, uh: Function) -> bool:
+        """Tell whether a surface has come near itself where it has no conditions. Collective."""
+        return self._search.lacks_contact(uh)
 
     def found_anew(
         self, contacts: Sequence[Contact | Tie], kept: Mapping[int, TiedPairing] | None = None

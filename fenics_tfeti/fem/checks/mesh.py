@@ -20,7 +20,8 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.cells import CellGeometry, check_cells, check_overlaps
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, SelfContact
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
@@ -83,11 +84,14 @@ def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mas
     marks = np.zeros((2, len(domain.geometry.x)), dtype=bool)
     dim = domain.topology.dim - 1
     for contact in contacts:
-        if not isinstance(contact, ContactPair | BoltPreload):
+        if isinstance(contact, SelfContact) and contact.facet_tags is None:
+            marks[:] = True
+        if not isinstance(contact, ContactPair | BoltPreload | SelfContact):
             continue
         tags = contact.facet_tags
-        if _compat.tags_are_on(tags, domain) and tags.dim == dim:
-            for mark, tag in zip(marks, (contact.slave, contact.master), strict=True):
+        if tags is not None and _compat.tags_are_on(tags, domain) and tags.dim == dim:
+            of_sides = surface_tags(contact)
+            for mark, tag in zip(marks, (of_sides[0], of_sides[-1]), strict=True):
                 mark[facet_corners(domain, *cells_of_facets(domain, tags.find(tag)))] = True
     return marks[0], marks[1]
 

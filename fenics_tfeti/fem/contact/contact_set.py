@@ -21,7 +21,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
 )
 from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues, contact_rows
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
@@ -56,11 +56,21 @@ class FoundContact:
     on_body: OnBody | None = None  # where the conditions are on a rigid body
     rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
     part: int = 0  # of the contact, see `match_pairs`
+    patch: int = 0  # of a surface that touches itself, see `SelfPatches`
 
     @property
     def key(self) -> str:
-        """The key of the part of the contact, from step to step and in files."""
-        return self.contact_key + (f", part {self.part + 1}" if self.part else "")
+        """The key of the part of the contact."""
+        patch = f", patch {self.patch + 1}" if self.patch else ""
+        return self.contact_key + patch + (f", part {self.part + 1}" if self.part else "")
+
+    @property
+    def history(self) -> str:
+        """The key of values at nodes from step to step and in files, whatever patches they are in.
+
+        That of patches is their contact's: facets may change the patch.
+        """
+        return self.contact_key if isinstance(self.contact, Patch) else self.key
 
     @property
     def contact(self) -> Contact:
@@ -127,17 +137,25 @@ class ContactSet:
         """The key of each contact."""
         return [found.key for found in self.contacts]
 
+    @property
+    def histories(self) -> list[str]:
+        """By what values at nodes are known from step to step and in files, each once."""
+        return list(dict.fromkeys(found.history for found in self.contacts))
+
     def at_conditions(self, values: SlaveValues) -> Array:
         """Return values (k, ...) at the conditions of all contacts, one after the other."""
-        parts = [values.at(found.key, self.dofs(found.pairing.slave)) for found in self.contacts]
+        parts = [
+            values.at(found.history, self.dofs(found.pairing.slave)) for found in self.contacts
+        ]
         return np.concatenate([np.zeros((0, *values.shape)), *parts])
 
     def slave_values(self, values: Vector) -> SlaveValues:
         """Return values (k,) at the conditions of all contacts by their slave nodes."""
-        pairs = zip(self.contacts, self.positions, strict=True)
-        return SlaveValues(
-            {found.key: (self.dofs(found.pairing.slave), values[own]) for found, own in pairs}
+        parts = (
+            (self.dofs(found.pairing.slave), values[own])
+            for found, own in zip(self.contacts, self.positions, strict=True)
         )
+        return SlaveValues.of([found.history for found in self.contacts], parts)
 
     @property
     def entries(self) -> list[FoundContact | FoundTie]:
@@ -200,7 +218,7 @@ class ContactSet:
         slip: the slave's nodes have slid from one place of the body to another.
         """
         nodes, pairing, on = self.boundary.nodes, found.pairing, found.on_body
-        earlier = origin.obstacles.at(found.key, self.dofs(pairing.slave))
+        earlier = origin.obstacles.at(found.history, self.dofs(pairing.slave))
         if on is None:
             return friction.obstacle_displacement - earlier
         frame, u = self.bodies.frame_of(found.body), origin.displacement

@@ -6,7 +6,7 @@ import numpy as np
 
 from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import FoundContact, FoundTie
-from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
@@ -54,6 +54,7 @@ def gap_energies(
     total = np.zeros((faces.size, 2))
     weight = solved.conditions.boundary.nodal_weight()
     for found, result in zip(solved.conditions.contacts, solved.contacts, strict=True):
+        assert isinstance(found.contact, ContactPair | RigidObstacle)
         pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.nominal_pressure, 0.0))
         corners = pressure[faces.facet_corners()]
         on_slave = tagged(faces, found.contact.facet_tags, [found.contact.slave])

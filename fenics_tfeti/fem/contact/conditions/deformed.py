@@ -115,6 +115,7 @@ def _deformed(
         parts = vars(found) | {"coverage": np.ones_like(found.gap)}
         new = replace(pairing, **parts)
         return DeformedContact(new, *_at_nodes_before(pairing, new), np.maximum(-new.gap, 0.0))
+    assert isinstance(contact, ContactPair)
     if contact.normal is not None:
         surface = pairing.surface.on(boundary, user_normal)
     else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -249,6 +249,21 @@ class SlaveValues:
     # (k, *shape)
     of_contact: Mapping[str, tuple[Numbers, Array]] = field(default_factory=dict)
     shape: tuple[int, ...] = ()
+
+    @staticmethod
+    def of(
+        keys: Sequence[str], parts: Iterable[tuple[Numbers, Array]], shape: tuple[int, ...] = ()
+    ) -> SlaveValues:
+        """Return values of parts with keys; of several at a node with the same key the first."""
+        of_contact = dict[str, tuple[Numbers, Array]]()
+        for key, (nodes, values) in zip(keys, parts, strict=True):
+            if key in of_contact:
+                known, before = of_contact[key]
+                nodes, values = np.concatenate([known, nodes]), np.concatenate([before, values])
+                nodes, first = np.unique(nodes, return_index=True)
+                values = values[first]
+            of_contact[key] = nodes, values
+        return SlaveValues(of_contact, shape)
 
     def at(self, key: str, nodes: Numbers) -> Array:
         """Return the values (q, *shape) at distinct nodes of a contact."""

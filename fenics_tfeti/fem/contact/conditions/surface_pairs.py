@@ -20,7 +20,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.conditions.pairing import Conditions, ContactPairing, JoinedPairs
 from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
-from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
 from fenics_tfeti.fem.contact.mortar.facets import facet_normals
@@ -72,7 +72,8 @@ def match_pairs(
         for name, contact in pairs
         for role, tag in (("slave", contact.slave), ("master", contact.master))
     ]
-    facets = tagged_facets(boundary, tagged)
+    is_patch = [isinstance(contact, Patch) for _, contact in pairs]
+    facets = tagged_facets(boundary, tagged, np.repeat(is_patch, 2))
     whole = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
     found: list[list[ContactPairing]] = [[] for _ in pairs]
     for k, (_, contact) in enumerate(pairs):
@@ -108,7 +109,8 @@ def _split(boundary: MeshBoundary, whole: Parts) -> tuple[list[int], Parts]:
     for (k, (pair, slave, master)), faces, bodies, of_slave, of_master in zip(
         whole.items(), *numbers, *colours, strict=True
     ):
-        for a, b in product(range(faces), range(bodies)):
+        # one without facets is a part, too
+        for a, b in product(range(max(faces, 1)), range(max(bodies, 1))):
             of_parts.append(k)
             parts.append((pair, slave[of_slave == a], master[of_master == b]))
     return of_parts, dict(enumerate(parts))

@@ -180,7 +180,68 @@ class RigidObstacle:
         check_field(self.displacement, f"{label}: the obstacle's displacement")
 
 
-Contact: TypeAlias = ContactPair | RigidObstacle
+@dataclass(frozen=True)
+class SelfContact:
+    """A surface that may touch itself, wherever that will be.
+
+    The parts of it that face each other become patches, each with a slave and a master, which have
+    mortar conditions. `NonlinearContactProblem` looks before and after each solve whether others
+    have come near each other, and keeps patches, roles and forces while they do.
+
+    Attributes
+    ----------
+    facet_tags : MeshTags, optional
+        Tags of facets; by default the surface is the whole boundary of the mesh.
+    surface : int, optional
+        Tag of the surface.
+    distance : float, optional
+        How far apart facets may be that are looked at together [m]: surfaces should not come nearer
+        by more in a load step. By default it is three of the longest facets, and with small strains
+        the shortest edge of the facet.
+    friction : Tresca or Coulomb, optional
+        The law of friction; by default there is none. Its data are numbers.
+    name : str
+        For messages and the report.
+
+    Examples
+    --------
+    >>> SelfContact(facet_tags, 3, name="bellows")  # doctest: +SKIP
+    >>> SelfContact(friction=Coulomb(0.2))  # the whole boundary of the mesh  # doctest: +SKIP
+    """
+
+    default_name = "contact {} (self)"
+    facet_tags: Any = None
+    surface: int | None = None
+    _: KW_ONLY
+    distance: float | None = None
+    friction: FrictionLaw | None = None
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        label = checked_label(self)
+        if (self.facet_tags is None) != (self.surface is None):
+            raise InputError(
+                f"{label}: facet_tags and surface belong together: give the tags of facets and the "
+                "tag of the surface, or neither for the whole boundary of the mesh"
+            )
+        if self.facet_tags is not None:
+            check_tags(self, label, "surface")
+        if self.distance is not None:
+            check_positive(self.distance, f"{label}: the distance", "m")
+        check_friction(self.friction, label)
+        data = next(iter(vars(self.friction).values())) if self.friction is not None else 0.0
+        if not is_number(data):
+            raise InputError(
+                f"{label}: friction has data that vary over the slave, but which facets are of a "
+                "slave changes: give it a number"
+            )
+
+
+class Patch(ContactPair):
+    """Two parts of a surface that face each other now, of a `SelfContact`."""
+
+
+Contact: TypeAlias = ContactPair | RigidObstacle | SelfContact
 
 
 @dataclass(frozen=True)

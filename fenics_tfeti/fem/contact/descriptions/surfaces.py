@@ -37,7 +37,8 @@ class SurfacePair:
 
 def surface_tags(contact: Any) -> list[int]:
     """Return the tags of the surfaces of the mesh: the slave's, and that of a master if any."""
-    return [getattr(contact, role) for role in ("slave", "master") if hasattr(contact, role)]
+    tags = (getattr(contact, role, None) for role in ("slave", "master", "surface"))
+    return [tag for tag in tags if tag is not None]
 
 
 def contact_name(contact: Any, number: int) -> str:
@@ -83,7 +84,7 @@ def _label(contact: Any) -> str:
     kind, body = type(contact).__name__, getattr(contact, "body", None)
     if contact.name:
         return f"{kind} {contact.name!r}"
-    tags = " and ".join(map(str, surface_tags(contact)))
+    tags = " and ".join(map(str, surface_tags(contact))) or "of the mesh"
     at_body = f" at {body.name!r}" if body is not None and body.name else ""
     return f"{kind} of the surface {tags}{at_body}"
 

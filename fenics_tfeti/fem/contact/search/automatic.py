@@ -12,12 +12,14 @@ import numpy as np
 
 from dolfinx.mesh import Mesh, meshtags
 
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.cells import check_cells
-from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, SelfContact
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
 from fenics_tfeti.fem.contact.search.opposite import ExteriorFacets, OppositeFacets
+from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.tagged import extremes
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import distinct_rows
@@ -46,12 +48,13 @@ def find_contacts(
     distance: float | None = None,
     friction: FrictionLaw | None = None,
     whole_faces: bool = False,
+    itself: bool = False,
 ) -> list[ContactPair]:
     """Return contact pairs of all bodies that are near each other. Collective.
 
     A facet on the boundary of a body belongs to a pair if a facet of the other body is opposite it
     along its normal, within the distance; of several bodies one behind the other it is the nearest.
-    Facets of one body, and of bodies that are glued to each other, are not paired.
+    Facets of bodies that are glued to each other are not paired, those of one body if asked for.
 
     Parameters
     ----------
@@ -69,6 +72,9 @@ def find_contacts(
     whole_faces : bool
         Whether surfaces are extended to the edges of their bodies, for bodies that slide along each
         other by more than a facet.
+    itself : bool
+        Whether parts of one body that are opposite each other, with nothing between them, are
+        paired, too: the faces of cracks and slots. At finite strains `SelfContact` follows them.
 
     Returns
     -------
@@ -106,9 +112,9 @@ def find_contacts(
         opposite = opposite.chosen(_may_touch(comm, opposite, bodies))
     opposite = opposite.chosen(_is_from_slave(comm, opposite))
     surfaces = _surfaces(comm, opposite.rows, facets, whole_faces)
-    if not surfaces:
+    contacts = _of_themselves(mesh, facets, bodies, distance, friction) if itself else []
+    if not surfaces and not contacts:
         _warn_of_gaps(comm, facets, bodies)
-    contacts = []
     for number, ((slave, master, side), tagged) in enumerate(surfaces.items()):
         first, second = bodies.labels[slave], bodies.labels[master]
         contacts.append(
@@ -120,6 +126,37 @@ def find_contacts(
                 friction=friction,
             )
         )
+    return contacts
+
+
+def _of_themselves(
+    mesh: Mesh,
+    facets: ExteriorFacets,
+    bodies: Bodies,
+    distance: float | None,
+    friction: FrictionLaw | None,
+) -> list[ContactPair]:
+    """Return the pairs of parts of one body, of each body. Collective."""
+    order, contacts = np.argsort(facets.number), list[ContactPair]()
+    columns = facets.number[order], 1 + facets.body[order]
+    tags = meshtags(mesh, mesh.topology.dim - 1, *(c.astype(np.int32) for c in columns))
+    space = _compat.lagrange_space(mesh, 1, mesh.geometry.dim)
+    boundary = MeshBoundary.of(space, None)
+    for body, label in enumerate(bodies.labels):
+        whole = SelfContact(tags, 1 + body, distance=distance, friction=friction)
+        found = SelfPatches.of(boundary, whole, label, is_far=False).at(None)
+        for number, pair in enumerate(() if found.is_empty else found.pairs):
+            name = f"{label} on itself" + (f", patch {number + 1}" if number else "")
+            contacts.append(
+                ContactPair(
+                    pair.facet_tags,
+                    pair.slave,
+                    pair.master,
+                    name=name,
+                    friction=friction,
+                    partial=True,
+                )
+            )
     return contacts
 
 

@@ -25,19 +25,26 @@ from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
 from fenics_tfeti.fem.contact.conditions.ties import TiedPairing, rows_of_tie
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import (
+    Contact,
+    ContactPair,
+    Patch,
+    RigidObstacle,
+    SelfContact,
+)
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_keys, contact_name, free_key
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.search.roles import Roles, nodal_stiffness, roles_ratios
+from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.feti.timer import Timer
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
 
 Key = TypeVar("Key")
@@ -69,13 +76,14 @@ class ContactSearch:
         self._displacement = displacement
         self._measure_weight = measure_weight
         self._roles = dict[str, Roles]()  # of the last contacts, by key
+        self._patches = dict[str, SelfPatches]()  # of surfaces that touch themselves, by key
         self._last: ContactSet | None = None
         self._find_boundary()
 
     def on_moved_nodes(self) -> ContactSearch:
         """Return the search on the mesh as it is now; roles are kept. Collective."""
         search = copy(self)
-        search._last = None
+        search._last, search._patches = None, {}
         search._find_boundary()
         return search
 
@@ -99,30 +107,46 @@ class ContactSearch:
         ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
         given = {k: contact for k, contact in enumerate(contacts) if not isinstance(contact, Tie)}
         last_contacts = self._last.contacts if self._last else []
-        known_keys = [(f.roles.given, f.contact_key) for f in last_contacts]
+        known_keys: list[tuple[Any, str]] = [
+            *((f.roles.given, f.contact_key) for f in last_contacts),
+            *((patches.contact, key) for key, patches in self._patches.items()),
+        ]
         keys = dict(zip(given, contact_keys([*given.values()], known_keys), strict=True))
-        touching = {k: self._roles_of(contact, keys[k]) for k, contact in given.items()}
         self.rigid.check_supports(prescribed)
         with self._timer.phase("contact search"):
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
             last = self._last or ContactSet(self.boundary, [], [], prescribed, none, self.rigid)
             known = [(found.contact, found.undeformed) for found in last.contacts]
+            self._patches = self._patches_of(given, keys)
+            touching = [
+                (k, patch, roles)
+                for k, contact in given.items()
+                for patch, roles in enumerate(self._roles_of(contact, keys[k]))
+            ]
             matched = match_parts(
                 self.boundary,
-                [roles.used for roles in touching.values()],
+                [roles.used for *_, roles in touching],
                 known,
                 prescribed,
-                [contact_name(roles.used, number) for number, roles in touching.items()],
+                [contact_name(given[k], k) for k, *_ in touching],
                 self._displacement,
             )
+            # patches were found in the state that they are for
+            of_tags = [
+                parts
+                for (*_, roles), parts in zip(touching, matched, strict=True)
+                if not isinstance(roles.given, Patch)
+            ]
             if not self._may_turn:
-                check_opposite(matched)
+                check_opposite(of_tags)
             checked = {id(pairing) for _, pairing in known}
-            new = [pairing for parts in matched for pairing in parts if id(pairing) not in checked]
+            new = [pairing for parts in of_tags for pairing in parts if id(pairing) not in checked]
             check_depth(self._space, self._bodies, new)
             found_contacts = [
-                FoundContact(k, keys[k], roles, pairing, pairing, part=part).placed(self.rigid)
-                for (k, roles), parts in zip(touching.items(), matched, strict=True)
+                FoundContact(k, keys[k], roles, pairing, pairing, part=part, patch=patch).placed(
+                    self.rigid
+                )
+                for (k, patch, roles), parts in zip(touching, matched, strict=True)
                 for part, pairing in enumerate(parts)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)
@@ -143,7 +167,43 @@ class ContactSearch:
         self._last, self._roles = found, {f.contact_key: f.roles for f in found.contacts}
         return found
 
-    def _roles_of(self, contact: Contact, key: str) -> Roles:
+    def _patches_of(
+        self, contacts: Mapping[int, Contact], keys: Mapping[int, str]
+    ) -> dict[str, SelfPatches]:
+        """Return the present patches of surfaces that touch themselves, by key. Collective."""
+        patches = dict[str, SelfPatches]()
+        for k, contact in contacts.items():
+            if isinstance(contact, SelfContact):
+                known, name = self._patches.get(keys[k]), contact_name(contact, k)
+                if known is None or known.contact is not contact:
+                    known = SelfPatches.of(self.boundary, contact, name, self._may_turn)
+                patches[keys[k]] = known = known.at(self._displacement)
+                if known.is_empty and not self._may_turn:
+                    warn_on_first_rank(
+                        self._space.mesh.comm,
+                        f"{name}: no part of the surface faces another one within "
+                        f"{known.reach.max():.3g}, so nothing can meet: with small strains a "
+                        "surface touches itself at cracks and slots only. Give it a larger "
+                        "distance, or use NonlinearContactProblem",
+                    )
+        return patches
+
+    def has_all_patches(self) -> bool:
+        """Tell whether surfaces that touch themselves do so in their patches only. Collective."""
+        return all(known.at(self._displacement) is known for known in self._patches.values())
+
+    def lacks_contact(self, displacement: Function) -> bool:
+        """Tell whether a surface has come near itself where it has no patch. Collective."""
+        return any(known.lacks_contact(displacement) for known in self._patches.values())
+
+    def _roles_of(self, contact: Contact, key: str) -> list[Roles]:
+        """Return the roles of a contact, or of its patches. Collective."""
+        if isinstance(contact, SelfContact):
+            pairs = self._patches[key].pairs
+            return [Roles(pair, pair, are_decided=True) for pair in pairs]
+        return [self._roles_of_contact(contact, key)]
+
+    def _roles_of_contact(self, contact: Contact, key: str) -> Roles:
         """Return the roles of a contact; of a pair a rigid surface is the master. Collective."""
         roles = self._roles.get(key)
         if roles is not None and roles.given is contact:

@@ -12,7 +12,7 @@ from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.contact.conditions.checks import points_away
 from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
@@ -52,6 +52,8 @@ def wrong_side(conditions: ContactSet, uh: Function, bodies: Bodies) -> InputErr
     """
     comm = conditions.boundary.nodes.comm
     for parts in contacts_apart(conditions, uh):
+        if isinstance(parts[0].contact, Patch):
+            continue
         along = np.concatenate([_along_normals(part, conditions, uh) for part in parts])
         nodes, name = comm.allreduce(along.size), parts[0].pairing.name
         is_pair = parts[0].pairing.master_surface is not None

@@ -73,6 +73,8 @@ def measured_penetration(
     depth, x = np.concatenate(depths), np.concatenate(places)
     # the motion of the whole surface does not count
     u = concatenate_ranks(slave.comm, boundary.nodes.values(uh)[slave.local])
+    if not len(u):
+        return 0.0
     size = float(np.linalg.norm(u - u.mean(axis=0), axis=1).max())
     deepest = int(depth.argmax()) if depth.size else 0
     own = (float(depth[deepest]), tuple(x[deepest])) if depth.size else (0.0, ())

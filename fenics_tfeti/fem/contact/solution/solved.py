@@ -83,13 +83,13 @@ class SolvedContacts:
 
     def with_penetration(self) -> SolvedContacts:
         """Return it with depths of nodes without a condition, told where they count. Collective."""
-        contacts, parts = [], dict[int, list[ContactPairing]]()
+        contacts, parts = [], dict[tuple[int, int], list[ContactPairing]]()
         for found in self.conditions.contacts:
-            parts.setdefault(found.number, []).append(found.undeformed)
+            parts.setdefault((found.number, found.patch), []).append(found.undeformed)
         wholes = {
-            number: whole_surfaces(of_contact)
-            for number, of_contact in parts.items()
-            if any(part.is_mortar for part in of_contact)
+            pair: whole_surfaces(of_pair)
+            for pair, of_pair in parts.items()
+            if any(part.is_mortar for part in of_pair)
         }
         for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
             contact, pairing = found.contact, found.pairing
@@ -97,7 +97,7 @@ class SolvedContacts:
                 depth = measured_penetration(
                     contact,
                     found.undeformed,
-                    wholes[found.number],
+                    wholes[found.number, found.patch],
                     pairing.slave,
                     self.displacement,
                 )
@@ -120,7 +120,7 @@ class SolvedContacts:
 
     def obstacle_displacements(self) -> SlaveValues:
         """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
-        conditions, of_contact = self.conditions, {}
+        conditions, keys, parts = self.conditions, list[str](), list[tuple[Numbers, Vector]]()
         for found in conditions.contacts:
             if found.friction is None:
                 continue
@@ -130,13 +130,14 @@ class SolvedContacts:
                 motion = self.bodies.frame_of(found.body).motion - before.motion
                 step = before.displacements(motion, on.places)
                 moved = on.slave - before.undeformed_places(on.slave) + step
-            of_contact[found.key] = conditions.dofs(found.pairing.slave), moved
-        return SlaveValues(of_contact, (conditions.boundary.nodes.components,))
+            keys.append(found.history)
+            parts.append((conditions.dofs(found.pairing.slave), moved))
+        return SlaveValues.of(keys, parts, (conditions.boundary.nodes.components,))
 
     def nodal_forces(self) -> SlaveValues:
         """Return the normal forces (k,) [N]."""
         parts = ((result.dofs, result.normal_force) for result in self.contacts)
-        return SlaveValues(dict(zip(self.conditions.keys, parts, strict=True)))
+        return SlaveValues.of([found.history for found in self.conditions.contacts], parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""

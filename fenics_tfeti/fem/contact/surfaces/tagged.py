@@ -382,8 +382,13 @@ def tagged_surface(
     return surface_of(boundary, oriented_facets(boundary.space, facets), [name], role, user_normal)
 
 
-def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]) -> list[Indices]:
-    """Return this rank's facets of each (meshtags, tag, label), checked. Collective."""
+def tagged_facets(
+    boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]], may_be_empty: Mask | None = None
+) -> list[Indices]:
+    """Return this rank's facets of each (meshtags, tag, label), checked. Collective.
+
+    Those that may have no facets at all are the same on all ranks.
+    """
     domain, comm = boundary.space.mesh, boundary.nodes.comm
     dim = domain.topology.dim - 1
     with raise_collectively(comm):
@@ -401,7 +406,8 @@ def tagged_facets(boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]]
     facets = [owned_facets(domain, facet_tags, tag) for facet_tags, tag, _ in tagged]
     number = np.array([part.size for part in facets])
     comm.Allreduce(MPI.IN_PLACE, number)
-    for facet_tags, tag, label in (tagged[k] for k in np.flatnonzero(number == 0)[:1]):
+    is_missing = (number == 0) if may_be_empty is None else (number == 0) & ~may_be_empty
+    for facet_tags, tag, label in (tagged[k] for k in np.flatnonzero(is_missing)[:1]):
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
     every = np.concatenate(facets)

@@ -1,0 +1,303 @@
+"""Contact of a surface with itself: which of its facets face each other, kept up to date.
+
+Each rank has all facets of the surface, and looks for what is in front of its own. What faces each
+other becomes patches, each with a slave and a master (`patches_of_itself`), which stay as they are
+as long as they have all pairs of facets that are near each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import dijkstra
+
+from dolfinx.fem import Function
+from dolfinx.mesh import meshtags
+
+from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
+from fenics_tfeti.fem.contact.mortar.cells import MasterTree, nearest_layers, overlapping_cells
+from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
+from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
+from fenics_tfeti.fem.messages import coordinate_order
+from fenics_tfeti.fem.topology import batches, cell_type, distinct_rows
+from fenics_tfeti.parallel import any_rank, concatenate_ranks
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
+
+# by default, and beside that for patches that are made anew: how far facets are looked for, in
+# longest facets, and by how much farther, so that patches last
+_FAR, _MARGIN = 3.0, 2.0
+# rings of facets around what faces each other, for surfaces that slide
+_RINGS = 2
+# depth behind a facet, relative to its size, up to which another one touches it
+_TOUCHES = 1e-3
+# facets behind a wall that have come in are farther along the surface than this many thicknesses
+_AROUND = 4.0
+
+# tells which pairs of facets count, of slaves, masters and gaps (p,)
+_Choice: TypeAlias = Callable[[Numbers, Numbers, Vector], Mask]
+
+
+@dataclass(frozen=True)
+class Facing:
+    """Pairs (p, 2) of facets, each once, and their gaps (p,) [m]."""
+
+    pairs: Numbers
+    gap: Vector
+
+
+@dataclass(frozen=True)
+class WholeSurface:
+    """All facets of a surface, the same on every rank, in the order of their places."""
+
+    boundary: MeshBoundary
+    facets: Indices  # local numbers of this rank's facets
+    corners: Indices  # (., v): their local nodes
+    own: Numbers  # their rows among all
+    nodes: Numbers  # (f, v): rows of points, oriented as in `Facets`
+    points: Vector  # (n, gdim): undeformed [m]
+    first: Numbers  # (n,): where a node is first, among the corners of all ranks' facets
+    # (f,): of the undeformed wall behind each facet [m], infinite where that is more than twice the
+    # depth, or where its other side is not of this surface
+    thickness: Vector
+
+    @staticmethod
+    def of(boundary: MeshBoundary, contact: SelfContact, label: str) -> WholeSurface:
+        """Gather the surface. Collective."""
+        comm, gdim = boundary.nodes.comm, boundary.nodes.components
+        facets = _facets(boundary, contact, label)
+        local = oriented_facets(boundary.space, facets)
+        local = local[:, : cell_type(boundary.space.mesh).facet.vertices]
+        numbers = concatenate_ranks(comm, boundary.nodes.to_global(local))
+        x = concatenate_ranks(comm, boundary.coordinates[local, :gdim])
+        order = coordinate_order(x.mean(axis=1))
+        rank = np.repeat(np.arange(comm.size), comm.allgather(len(local)))
+        row = np.empty(order.size, dtype=np.int64)
+        row[order] = np.arange(order.size)
+        _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
+        # by places, on which alone roles then depend
+        by_place = coordinate_order(x.reshape(-1, gdim)[first])
+        row_of = np.empty(first.size, dtype=np.int64)
+        row_of[by_place], first = np.arange(first.size), first[by_place]
+        nodes = row_of[inverse].reshape(numbers.shape)[order]
+        points = x.reshape(-1, gdim)[first]
+        own = row[rank == comm.rank]
+        unknown = np.full(len(nodes), np.inf)
+        surface = WholeSurface(boundary, facets, local, own, nodes, points, first, unknown)
+        return replace(surface, thickness=surface._thickness())
+
+    def places(self, displacement: Function | None) -> Vector:
+        """Return where the nodes (n, gdim) are [m]. Collective."""
+        if displacement is None:
+            return self.points
+        displacement.x.scatter_forward()
+        boundary, gdim = self.boundary.deformed(displacement), self.points.shape[1]
+        x = concatenate_ranks(boundary.nodes.comm, boundary.coordinates[self.corners, :gdim])
+        return x.reshape(-1, gdim)[self.first]
+
+    @cached_property
+    def size(self) -> Vector:
+        """The longest edge of each facet, (f,) [m]."""
+        return edge_lengths(self.points[self.nodes]).max(axis=1)
+
+    @cached_property
+    def adjacent(self) -> sp.csr_matrix:
+        """Which facets have common nodes, (f, f)."""
+        row = np.repeat(np.arange(len(self.nodes)), self.nodes.shape[1])
+        incidence = sp.csr_matrix((np.ones(row.size), (row, self.nodes.ravel())))
+        return (incidence @ incidence.T).tocsr()
+
+    def facing(self, x: Vector, reach: Vector, patches: Patches) -> Facing:
+        """Return the pairs of facets that face each other at places of the nodes. Collective.
+
+        They are in front of each other within reach (f,) [m], or behind by up to half the
+        thickness (f,) of the wall that they have come into [m].
+        """
+        depth = np.minimum(0.5 * self.thickness, self.depth)
+
+        def is_chosen(s: Numbers, m: Numbers, gap: Vector) -> Mask:
+            kept = (gap <= reach[s]) & (gap >= -np.minimum(depth[s], depth[m]))
+            deep = np.flatnonzero(kept & (gap < -_TOUCHES * self.size[s]))
+            pairs = np.column_stack([s[deep], m[deep]])
+            unknown = deep[~patches.has(pairs)]
+            kept[unknown] = self._are_far_along(s[unknown], m[unknown])
+            return kept
+
+        return self._nearest(x, np.maximum(reach, self.depth), is_chosen)
+
+    @property
+    def depth(self) -> float:
+        """Up to which depth one looks behind facets for those that have come in [m]."""
+        return _FAR * float(self.size.max())
+
+    def _thickness(self) -> Vector:
+        """Return how thick the wall is behind each facet (f,) [m]. Collective."""
+        found = self._nearest(
+            self.points,
+            np.full(len(self.nodes), 2.0 * self.depth),
+            lambda s, m, gap: gap < -_TOUCHES * self.size[s],
+        )
+        thickness = np.full(len(self.nodes), np.inf)
+        np.minimum.at(thickness, found.pairs.ravel(), np.repeat(-found.gap, 2))
+        return thickness
+
+    def _nearest(self, x: Vector, reach: Vector, is_chosen: _Choice) -> Facing:
+        """Return the nearest facets that are chosen, of those without a common node. Collective."""
+        facets, comm = Facets(x, self.nodes), self.boundary.nodes.comm
+        tree = MasterTree(facets)
+        planes, pairs, gaps = tree.planes, [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)]
+        for block in batches(self.own.size, 2048):
+            cells = overlapping_cells(facets, planes, np.sort(self.own)[block], tree, reach)
+            s, m = cells.slave, cells.master
+            kept = is_chosen(s, m, cells.centre[1])
+            kept &= ~(self.nodes[s][:, :, None] == self.nodes[m][:, None, :]).any(axis=(1, 2))
+            cells = nearest_layers(cells.select_pairs(kept), planes, tree)
+            pairs.append(np.stack([cells.slave, cells.master], axis=1))
+            gaps.append(cells.centre[1])
+        found = concatenate_ranks(comm, np.sort(np.concatenate(pairs), axis=1))
+        gap = concatenate_ranks(comm, np.concatenate(gaps))
+        distinct, inverse = distinct_rows(found)
+        least = np.full(len(distinct), np.inf)
+        np.minimum.at(least, inverse, gap)
+        return Facing(distinct, least)
+
+    def _are_far_along(self, s: Numbers, m: Numbers) -> Mask:
+        """Tell which pairs of facets are far apart along the surface: others are of one wall."""
+        limit = _AROUND * np.minimum(self.thickness[s], self.thickness[m])
+        limit, far = np.where(np.isfinite(limit), limit, 0.0), np.ones(s.size, dtype=bool)
+        for rows in np.array_split(np.arange(s.size), max(1, s.size // 64)):
+            if rows.size:
+                source, inverse = np.unique(s[rows], return_inverse=True)
+                length = dijkstra(self._lengths, indices=source, limit=float(limit[rows].max()))
+                far[rows] = length[inverse, m[rows]] > limit[rows]
+        return far
+
+    @cached_property
+    def _lengths(self) -> sp.csr_matrix:
+        """The distances of the middles of adjacent facets, (f, f) [m]."""
+        links, middle = self.adjacent.tocoo(), self.points[self.nodes].mean(axis=1)
+        length = np.linalg.norm(middle[links.row] - middle[links.col], axis=1)
+        return sp.csr_matrix((length, (links.row, links.col)), shape=links.shape)
+
+
+def _facets(boundary: MeshBoundary, contact: SelfContact, label: str) -> Indices:
+    """Return this rank's facets with the tag, without tags those on the boundary. Collective."""
+    if contact.surface is not None:
+        return tagged_facets(boundary, [(contact.facet_tags, contact.surface, label)])[0]
+    domain = boundary.space.mesh
+    owned = domain.topology.index_map(domain.topology.dim - 1).size_local
+    return np.flatnonzero(boundary.exterior[:owned]).astype(np.int32)
+
+
+def _check_distance(contact: SelfContact, surface: WholeSurface, name: str) -> None:
+    """Check that facets are not looked for farther away than the surface is large."""
+    size = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
+    if contact.distance is not None and contact.distance > size:
+        raise InputError(
+            f"{name}: the distance {contact.distance:.3g} is larger than the whole surface, "
+            f"{size:.3g}: it is how far apart facets may be that are looked at together, a few "
+            f"of their sizes, {surface.size.max():.3g}. In which unit is the mesh?"
+        )
+
+
+@dataclass(frozen=True)
+class SelfPatches:
+    """The patches of a surface that touches itself, and the pairs of surfaces that they are."""
+
+    contact: SelfContact
+    surface: WholeSurface
+    reach: Vector  # (f,) [m]
+    patches: Patches
+    pairs: tuple[Patch, ...]
+
+    @staticmethod
+    def of(boundary: MeshBoundary, contact: SelfContact, name: str, is_far: bool) -> SelfPatches:
+        """Return the contact of a surface without patches yet. Collective.
+
+        By default facets are looked for up to a facet's shortest edge, or as `is_far` as surfaces
+        go in a load step.
+        """
+        surface = WholeSurface.of(boundary, contact, name)
+        _check_distance(contact, surface, name)
+        shortest = edge_lengths(surface.points[surface.nodes]).min(axis=1)
+        reach = np.full_like(shortest, _FAR * surface.size.max()) if is_far else shortest
+        if contact.distance is not None:
+            reach = np.full_like(shortest, contact.distance)
+        none = Patches.none(len(surface.nodes))
+        return SelfPatches(contact, surface, reach, none, ())._with(none)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether nothing faces each other."""
+        return not len(self.patches.slave)
+
+    def at(self, displacement: Function | None) -> SelfPatches:
+        """Return it for a displacement of the surface, itself if its patches still do. Collective.
+
+        They do if they have all pairs of facets within reach.
+        """
+        x = self.surface.places(displacement)
+        if not self._lacks(x, self.reach):
+            return self
+        surface, before = self.surface, self.patches.roles
+        near = surface.facing(x, _MARGIN * self.reach, self.patches)
+        patches, of_nodes = find_patches(near.pairs, near.gap, surface.nodes, surface.size, before)
+        patches = widened(patches, of_nodes, x, surface.nodes, surface.adjacent, _RINGS)
+        return self._with(patches)
+
+    def lacks_contact(self, displacement: Function) -> bool:
+        """Tell whether facets in no patch have come as near as they are large. Collective."""
+        x = self.surface.places(displacement)
+        return self._lacks(x, np.minimum(self.reach, self.surface.size))
+
+    def _lacks(self, x: Vector, reach: Vector) -> bool:
+        near = self.surface.facing(x, reach, self.patches)
+        nodes = self.surface.nodes
+        known = self.patches.has(near.pairs) | self.patches.cannot_have(near.pairs, nodes)
+        return any_rank(self.surface.boundary.nodes.comm, ~known)
+
+    def _with(self, patches: Patches) -> SelfPatches:
+        """Return it with other patches; pairs of the same facets are the same objects.
+
+        Without a patch there is a pair of no facets.
+        """
+        surface, contact = self.surface, self.contact
+        mesh = surface.boundary.space.mesh
+        sides = [*zip(patches.slave, patches.master, strict=True)]
+        known = {
+            (slave.tobytes(), master.tobytes()): pair
+            for slave, master, pair in zip(
+                self.patches.slave, self.patches.master, self.pairs, strict=False
+            )
+        }
+        if not sides:
+            sides = [(np.zeros(len(surface.nodes), dtype=bool),) * 2]
+        pairs = []
+        for slave, master in sides:
+            pair = known.get((slave.tobytes(), master.tobytes()))
+            if pair is None:
+                tag = np.where(slave, 1, np.where(master, 2, 0))[surface.own]
+                order = np.argsort(surface.facets)
+                chosen = order[tag[order] > 0]
+                columns = surface.facets[chosen], tag[chosen]
+                tags = meshtags(mesh, mesh.topology.dim - 1, *(c.astype(np.int32) for c in columns))
+                pair = Patch(
+                    tags,
+                    1,
+                    2,
+                    name=contact.name,
+                    friction=contact.friction,
+                    partial=True,
+                    partners="mortar",
+                    roles="given",
+                )
+            pairs.append(pair)
+        return replace(self, patches=patches, pairs=tuple(pairs))

@@ -1,0 +1,169 @@
+"""Parts of one surface that face each other: patches, roles, and nothing through a wall."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from folded import INSIDE, OUTSIDE, arc, serpentine, spiral, strip
+
+import ufl
+from dolfinx.fem import Function, dirichletbc, locate_dofs_geometrical
+from dolfinx.mesh import CellType, compute_midpoints, create_rectangle, create_submesh
+
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    InputError,
+    SelfContact,
+    find_contacts,
+)
+from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
+from fenics_tfeti.io import displacement_space, tag_facets
+from fenics_tfeti.models import isotropic, small_strain
+
+
+def patches_of(mesh, distance, tags=None, surface=None):
+    boundary = MeshBoundary.of(displacement_space(mesh), None)
+    contact = SelfContact(tags, surface, distance=distance)
+    return SelfPatches.of(boundary, contact, "wall", is_far=True).at(None)
+
+
+@pytest.mark.parametrize("sheets", [2, 3, 5])
+@pytest.mark.parametrize("distance", [0.04, 1.0])
+def test_sheets_of_a_fold(sheets, distance):
+    """Each faces the next one, however far one looks."""
+    curve, length = serpentine(1.0, 0.11, sheets)
+    mesh, _ = strip(length, 0.08, 28 * sheets, curve)
+    found = patches_of(mesh, distance)
+    assert len(found.patches.slave) == sheets - 1
+    # as far as legs are straight
+    sizes = found.patches.slave.sum(axis=1), found.patches.master.sum(axis=1)
+    assert np.all(np.array(sizes) >= 24)
+
+
+def test_no_node_has_both_roles():
+    curve, length = serpentine(1.0, 0.11, 3)
+    mesh, _ = strip(length, 0.08, 84, curve)
+    found = patches_of(mesh, 0.5)
+    nodes = [
+        np.unique(found.surface.nodes[side.any(axis=0)])
+        for side in (found.patches.slave, found.patches.master)
+    ]
+    assert not np.intersect1d(*nodes).size
+
+
+def test_turns_of_a_spiral_are_one_patch():
+    mesh, _ = strip(6.0, 0.05, 240, spiral(0.3, 0.12))
+    found = patches_of(mesh, 0.1)
+    assert len(found.patches.slave) == 1
+    assert min(found.patches.slave.sum(), found.patches.master.sum()) > 100
+
+
+@pytest.mark.parametrize("radius", [10.0, 4.0, 1.5])
+def test_nothing_through_the_thickness(radius):
+    """A sheet that is bent to most of a circle, and looks five thicknesses far."""
+    thick = 0.05
+    mesh, tags = strip(6.0 * radius * thick, thick, 120, arc(radius * thick))
+    found = patches_of(mesh, 5.0 * thick)
+    outer, inner = tags.find(INSIDE), tags.find(OUTSIDE)
+    for pair in found.pairs if not found.is_empty else ():
+        sides = [pair.facet_tags.find(tag) for tag in (1, 2)]
+        for there, here in (sides, sides[::-1]):
+            assert not (np.isin(there, outer).any() and np.isin(here, inner).any())
+
+
+def test_convex_body_never_meets_itself():
+    mesh, _ = strip(1.0, 0.5, 8, lambda s: (s, 0 * s, 0 * s))
+    assert patches_of(mesh, 1.0).is_empty
+
+
+def test_walls_that_have_come_in_face_each_other():
+    """Sheets that overlap by a fifth of their thickness, as after a long load step."""
+    curve, length = serpentine(1.0, 0.11, 2)
+    mesh, _ = strip(length, 0.08, 56, curve)
+    boundary = MeshBoundary.of(space := displacement_space(mesh), None)
+    contact = SelfContact(distance=0.06)
+    found = SelfPatches.of(boundary, contact, "wall", is_far=True)
+    down = Function(space)
+    # the upper sheet moves down by the gap of 0.03, and 0.016 more
+    down.interpolate(lambda x: np.vstack([0 * x[0], -0.046 * np.clip(x[1] / 0.11, 0, 1)]))
+    there = found.at(down)
+    assert len(there.patches.slave) == 1 and there.patches.slave.sum() >= 24
+
+
+def test_the_same_objects_while_nothing_changes():
+    curve, length = serpentine(1.0, 0.11, 3)
+    mesh, _ = strip(length, 0.08, 84, curve)
+    found = patches_of(mesh, 0.06)
+    assert found.at(None) is found
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"surface": 3}, "facet_tags and surface belong together"),
+        ({"distance": -1.0}, "the distance is -1.0; a positive number is expected"),
+        ({"friction": Coulomb(lambda x: 0.1 + 0.0 * x[0])}, "friction has data that vary"),
+    ],
+)
+def test_wrong_data(arguments, message):
+    with pytest.raises(InputError, match=message):
+        SelfContact(**arguments)
+
+
+def test_distance_in_another_unit():
+    mesh, _ = strip(1.0, 0.5, 8, lambda s: (s, 0 * s, 0 * s))
+    with pytest.raises(InputError, match="larger than the whole surface"):
+        patches_of(mesh, 1000.0)
+
+
+@pytest.fixture(scope="module")
+def slit():
+    """A block with a slit from its side to beyond its middle, and its two lips' facets."""
+    n, thin = 24, 1e-3
+    whole = create_rectangle(MPI.COMM_SELF, [(0, 0), (2, 2)], [n, n], CellType.quadrilateral)
+    h = 2 / n
+    middle = compute_midpoints(whole, 2, np.arange(n * n, dtype=np.int32))
+    is_cut = (middle[:, 0] < 1.25) & (abs(middle[:, 1] - 1 - h / 2) < 0.51 * h)
+    mesh = create_submesh(whole, 2, np.flatnonzero(~is_cut).astype(np.int32))[0]
+    x = mesh.geometry.x
+    x[x[:, 1] > 1 + 0.5 * h, 1] -= h - thin
+    in_slit = [lambda x, y=y: np.isclose(x[1], y) & (x[0] < 1.25 + h) for y in (1, 1 + thin)]
+    tops = {3: lambda x: np.isclose(x[1], 2 - h + thin)}
+    return mesh, tag_facets(mesh, tops | dict(enumerate(in_slit, 1)))
+
+
+def pressed(slit, contacts):
+    """The displacement under a load that closes the slit from its mouth on, and the problem."""
+    mesh, tags = slit
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds, x = ufl.Measure("ds", mesh, subdomain_data=tags), ufl.SpatialCoordinate(mesh)
+    a = ufl.inner(isotropic(1.0, 0.3)(u), small_strain(v)) * ufl.dx
+    L = -0.002 * (2 - x[0]) * v[1] * ds(3)
+    bottom = locate_dofs_geometrical(V, lambda x: np.isclose(x[1], 0))
+    bc = dirichletbc(np.zeros(2), bottom, V)
+    problem = ContactProblem(a, L, bcs=[bc], contacts=contacts, options={"rtol": 1e-12})
+    return problem.solve().x.array.copy(), problem
+
+
+@pytest.mark.parametrize(
+    "contacts",
+    [
+        lambda mesh: SelfContact(distance=0.04, name="lips"),
+        lambda mesh: find_contacts(mesh, itself=True, distance=0.04),
+    ],
+)
+def test_lips_of_a_slit_are_those_of_two_tags(slit, contacts):
+    found, problem = pressed(slit, contacts(slit[0]))
+    expected, tagged = pressed(slit, ContactPair(slit[1], 1, 2, partial=True, partners="mortar"))
+    own, other = problem.results[0], tagged.results[0]
+    assert 4 < own.active.sum() == other.active.sum() < own.active.size
+    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+
+
+def test_nothing_to_meet_is_told(slit):
+    with pytest.warns(UserWarning, match="lips: no part of the surface faces another one"):
+        pressed(slit, SelfContact(slit[1], 3, name="lips"))

@@ -1,0 +1,150 @@
+"""A surface that touches itself at finite strains, wherever that is: as two tagged surfaces."""
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from folded import serpentine, strip, tags_of_boundary
+
+import ufl
+from dolfinx.fem import Function
+from dolfinx.mesh import meshtags
+
+from fenics_tfeti import (
+    ContactPair,
+    Coulomb,
+    NonlinearContactProblem,
+    Plane,
+    RigidObstacle,
+    SelfContact,
+    Sphere,
+)
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
+from fenics_tfeti.models import neo_hookean, symmetry_plane
+
+UPPER, LOWER, CUT, FIRST, SECOND = 11, 12, 13, 14, 15
+RADIUS, THICK = 1.0, 0.12
+
+
+def half_ring(cells):
+    """Half a ring, and tags of its outside, its ends and the two halves of its inside."""
+    box = Box((0, -THICK / 2), (np.pi, THICK / 2), (cells, 2))
+    mesh = boxes(MPI.COMM_WORLD, [box], "quadrilateral").mesh
+
+    def on(y, is_first):
+        return lambda x: np.isclose(x[1], y) & ((x[0] < np.pi / 2 + 1e-6) == is_first)
+
+    tags = tag_facets(
+        mesh,
+        {
+            UPPER: lambda x: np.isclose(x[1], THICK / 2) & (x[0] < np.pi / 2 + 1e-6),
+            LOWER: lambda x: np.isclose(x[1], THICK / 2) & (x[0] > np.pi / 2 - 1e-6),
+            CUT: lambda x: np.isclose(x[0], 0) | np.isclose(x[0], np.pi),
+            FIRST: lambda x: np.isclose(x[1], -THICK / 2) & (x[0] < np.pi / 2 + 1e-6),
+            SECOND: lambda x: np.isclose(x[1], -THICK / 2) & (x[0] > np.pi / 2 - 1e-6),
+        },
+    )
+    angle, radius = mesh.geometry.x[:, 0].copy(), RADIUS + mesh.geometry.x[:, 1]
+    mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = radius * np.sin(angle), radius * np.cos(angle)
+    return mesh, tags
+
+
+def crushed(contact, loads=(0.2, 0.5, 0.8, 0.93, 0.955), cells=24):
+    """Forces (loads, 2) of a die and between the walls of a ring that two round dies crush."""
+    mesh, tags = half_ring(cells)
+    V = displacement_space(mesh)
+    u, closed, die = Function(V), [0.0], 0.4 * RADIUS
+    energy = neo_hookean(1.0, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 2})
+
+    def obstacle(side):
+        at = lambda: side * (RADIUS + THICK / 2 - RADIUS * closed[0] + die)  # noqa: E731
+        return lambda x: Sphere((0, at()), die)(x)
+
+    dies = [RigidObstacle(tags, UPPER, obstacle(1)), RigidObstacle(tags, LOWER, obstacle(-1))]
+    problem = NonlinearContactProblem(
+        ufl.derivative(energy, u, ufl.TestFunction(V)),
+        u,
+        bcs=[symmetry_plane(V, tags, CUT, 0)],
+        contacts=[*dies, contact(tags)],
+        options={"newton_rtol": 1e-9},
+    )
+    forces = []
+    for closed[0] in loads:
+        problem.solve()
+        problem.advance()
+        forces.append([problem.results[0].force[1], abs(problem.results[2].force[1])])
+    return np.array(forces), problem
+
+
+def two_tags(friction=None):
+    return lambda tags: ContactPair(
+        tags, FIRST, SECOND, partial=True, roles="given", friction=friction
+    )
+
+
+@pytest.mark.ranks(1, 2, 3)
+@pytest.mark.parametrize("friction", [None, Coulomb(0.3)])
+def test_walls_of_a_crushed_ring(friction):
+    """They face each other only once the ring is crushed, and meet in the middle of a load step."""
+    found, problem = crushed(lambda tags: SelfContact(friction=friction, name="wall"))
+    expected, _ = crushed(two_tags(friction))
+    assert expected[-1, 1] > 2.0 * expected[0, 0]
+    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+
+
+def test_results_have_one_contact_with_the_patches_in_it():
+    _, problem = crushed(lambda tags: SelfContact(name="wall"))
+    assert problem.results.names == ("contact 0 (obstacle)", "contact 1 (obstacle)", "wall")
+    wall = problem.results["wall"]
+    assert wall.active.any() and np.allclose(wall.force, problem.report.contacts[2].force)
+
+
+def test_step_that_passes_the_search_distance():
+    """The walls come as near as a twentieth of a facet unseen; the load is solved again."""
+    short = lambda tags: SelfContact(distance=0.005, name="wall")  # noqa: E731
+    found, _ = crushed(short)
+    expected, _ = crushed(two_tags())
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+def folded_sheets(contacts):
+    """Forces of a plane and of contacts on three sheets, two folds, that the plane closes."""
+    thick, gap = 0.08, 0.03
+    curve, length = serpentine(1.0, thick + gap, 3)
+    mesh, sides = strip(length, thick, 84, curve)
+    V = displacement_space(mesh)
+    u, down = Function(V), [0.0]
+    F = ufl.derivative(neo_hookean(1e3, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V))
+    tags = tag_facets(
+        mesh,
+        {
+            1: lambda x: np.isclose(x[1], -thick / 2) & (x[0] < 1.0 + 1e-9),
+            2: lambda x: np.isclose(x[1], 2 * (thick + gap) + thick / 2) & (x[0] < 1.0 + 1e-9),
+        },
+    )
+    top = 2 * (thick + gap) + thick / 2
+    plane = RigidObstacle(tags, 2, lambda x: Plane((0, top - down[0]), (0, -1))(x))
+    held = [symmetry_plane(V, tags, 1, axis) for axis in (0, 1)]
+    problem = NonlinearContactProblem(
+        F, u, bcs=held, contacts=[plane, *contacts(mesh)], options={"newton_rtol": 1e-9}
+    )
+    for down[0] in np.linspace(0, 1.65 * gap, 7)[1:]:
+        problem.solve()
+        problem.advance()
+    return u.x.array.copy(), problem
+
+
+def test_two_folds_at_once():
+    """As with the facets of the patches tagged by hand."""
+    found, problem = folded_sheets(lambda mesh: [SelfContact(tags_of_boundary(mesh), 1)])
+    (patches,) = problem._torn._search._patches.values()
+    assert len(patches.pairs) == 2
+
+    def by_hand(mesh):
+        for pair in patches.pairs:
+            tags = meshtags(mesh, 1, pair.facet_tags.indices, pair.facet_tags.values)
+            yield ContactPair(tags, 1, 2, partial=True, partners="mortar", roles="given")
+
+    expected, tagged = folded_sheets(by_hand)
+    assert all(result.active.any() for result in tagged.results)
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
