@@ -7,7 +7,15 @@ from scenes import CLAMPED, MASTER, SLAVE, at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, Coulomb, Exact, Plane, RigidObstacle, Sphere
+from fenics_tfeti import (
+    ContactPair,
+    Coulomb,
+    Exact,
+    Plane,
+    RigidObstacle,
+    SelfContact,
+    Sphere,
+)
 from mistakes.catalogue import beams, other_beams, posed, solved, table
 
 
@@ -102,6 +110,18 @@ MISTAKES = table(
     (
         "friction that is an expression",
         posed(contacts=lambda s: [ContactPair(s.facet_tags, 1, 2, friction=Coulomb(radius(s)))]),
+    ),
+    (
+        "surface that touches itself without its tags",
+        posed(contacts=lambda s: [SelfContact(surface=SLAVE, name="fold")]),
+    ),
+    (
+        "search distance in another unit",
+        posed(contacts=lambda s: [SelfContact(s.facet_tags, SLAVE, distance=500.0)]),
+    ),
+    (
+        "friction that varies over a surface that touches itself",
+        posed(contacts=lambda s: [SelfContact(friction=Coulomb(lambda x: 0.1 * x[0]))]),
     ),
     ("weight that is negative", weighted(lambda s: -2 * ufl.pi * radius(s))),
     ("weight that is negative somewhere", weighted(lambda s: radius(s) - 1.4)),

@@ -196,7 +196,7 @@ class SelfContact:
         Tag of the surface.
     distance : float, optional
         How far apart facets may be that are looked at together [m]: surfaces should not come nearer
-        by more in a load step. By default it is three of the longest facets, and with small strains
+        by more in a load step. By default it is ten of the longest facets, and with small strains
         the shortest edge of the facet.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none. Its data are numbers.

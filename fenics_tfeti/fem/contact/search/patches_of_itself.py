@@ -202,4 +202,5 @@ def _merged(patches: Patches, nodes: Numbers) -> Patches:
     joined = np.zeros((2, count, len(nodes)), dtype=bool)
     for side, whole in zip(sides, joined, strict=True):
         np.logical_or.at(whole, group, side)
-    return Patches(*joined, patches.left_out)
+    slave, master = joined
+    return Patches(slave, master, patches.left_out)

@@ -21,9 +21,13 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
-from fenics_tfeti.fem.contact.mortar.cells import MasterTree, nearest_layers, overlapping_cells
-from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.contact.mortar.facets import (
+    Planes,
+    reference_coordinates,
+    shape_functions,
+)
 from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
+from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
@@ -32,11 +36,14 @@ from fenics_tfeti.fem.topology import batches, cell_type, distinct_rows
 from fenics_tfeti.parallel import any_rank, concatenate_ranks
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
-# by default, and beside that for patches that are made anew: how far facets are looked for, in
-# longest facets, and by how much farther, so that patches last
-_FAR, _MARGIN = 3.0, 2.0
+# by default: how far facets are looked for in front and behind, in longest facets
+_FAR, _BEHIND = 10.0, 3.0
+# by how much farther when patches are made anew, so that they last
+_MARGIN = 2.0
 # rings of facets around what faces each other, for surfaces that slide
 _RINGS = 2
+# shape functions of points on the edge of a facet
+_ON_EDGE = 1e-9
 # depth behind a facet, relative to its size, up to which another one touches it
 _TOUCHES = 1e-3
 # facets behind a wall that have come in are farther along the surface than this many thicknesses
@@ -136,7 +143,7 @@ class WholeSurface:
     @property
     def depth(self) -> float:
         """Up to which depth one looks behind facets for those that have come in [m]."""
-        return _FAR * float(self.size.max())
+        return _BEHIND * float(self.size.max())
 
     def _thickness(self) -> Vector:
         """Return how thick the wall is behind each facet (f,) [m]. Collective."""
@@ -150,21 +157,26 @@ class WholeSurface:
         return thickness
 
     def _nearest(self, x: Vector, reach: Vector, is_chosen: _Choice) -> Facing:
-        """Return the nearest facets that are chosen, of those without a common node. Collective."""
-        facets, comm = Facets(x, self.nodes), self.boundary.nodes.comm
-        tree = MasterTree(facets)
-        planes, pairs, gaps = tree.planes, [np.zeros((0, 2), dtype=np.int64)], [np.zeros(0)]
-        for block in batches(self.own.size, 2048):
-            cells = overlapping_cells(facets, planes, np.sort(self.own)[block], tree, reach)
-            s, m = cells.slave, cells.master
-            kept = is_chosen(s, m, cells.centre[1])
+        """Return the facets nearest to the middles of others, of those that are chosen. Collective.
+
+        They are opposed, and have no common node.
+        """
+        planes, tree = Planes.of(x[self.nodes]), BoxTree(x[self.nodes])
+        found = [(np.zeros((0, 2), dtype=np.int64), np.zeros(0))]
+        for block in batches(self.own.size, 8192):
+            s, m, gap = _pierced(planes, tree, self.own[block], x[self.nodes], reach)
+            kept = is_chosen(s, m, gap)
             kept &= ~(self.nodes[s][:, :, None] == self.nodes[m][:, None, :]).any(axis=(1, 2))
-            cells = nearest_layers(cells.select_pairs(kept), planes, tree)
-            pairs.append(np.stack([cells.slave, cells.master], axis=1))
-            gaps.append(cells.centre[1])
-        found = concatenate_ranks(comm, np.sort(np.concatenate(pairs), axis=1))
-        gap = concatenate_ranks(comm, np.concatenate(gaps))
-        distinct, inverse = distinct_rows(found)
+            s, m, gap = s[kept], m[kept], gap[kept]
+            order = np.lexsort((m, np.abs(gap), s))
+            nearest = order[np.unique(s[order], return_index=True)[1]]
+            pairs = np.sort(np.stack([s[nearest], m[nearest]], axis=1), axis=1)
+            found.append((pairs, gap[nearest]))
+        comm = self.boundary.nodes.comm
+        pairs, gap = (
+            concatenate_ranks(comm, np.concatenate(part)) for part in zip(*found, strict=True)
+        )
+        distinct, inverse = distinct_rows(pairs)
         least = np.full(len(distinct), np.inf)
         np.minimum.at(least, inverse, gap)
         return Facing(distinct, least)
@@ -186,6 +198,37 @@ class WholeSurface:
         links, middle = self.adjacent.tocoo(), self.points[self.nodes].mean(axis=1)
         length = np.linalg.norm(middle[links.row] - middle[links.col], axis=1)
         return sp.csr_matrix((length, (links.row, links.col)), shape=links.shape)
+
+
+def _pierced(
+    planes: Planes, tree: BoxTree, rows: Numbers, x: Vector, reach: Vector
+) -> tuple[Numbers, Numbers, Vector]:
+    """Return pairs of facets: of rows (k,), and those that their normals meet, with gaps [m].
+
+    The lines go through the middles of facets with corners x (f, v, gdim), up to the reach (f,) on
+    both sides, and meet facets that are opposed by more than 96 degrees.
+    """
+    arm = (reach[:, None] * np.abs(planes.normal))[rows]
+    low, high = planes.origin[rows] - arm, planes.origin[rows] + arm
+
+    def meets_box(row: Numbers, box_low: Vector, box_high: Vector) -> Mask:
+        meets = np.ones(row.size, dtype=bool)
+        for axis in range(low.shape[1]):
+            meets &= box_low[:, axis] <= high[:, axis].take(row)
+            meets &= box_high[:, axis] >= low[:, axis].take(row)
+        return meets
+
+    row, m = tree.candidates(rows.size, meets_box)
+    s = rows[row]
+    opposed = np.einsum("kd,kd->k", planes.normal[s], planes.normal[m]) < -0.1
+    s, m = s[opposed], m[opposed]
+    frames = planes.project(s, x[m])
+    corners = frames[..., :-1]
+    xi = reference_coordinates(corners, np.zeros((s.size, 1, corners.shape[2])))[:, 0]
+    shapes = shape_functions(xi, corners.shape[1])
+    inside = (shapes > -_ON_EDGE).all(axis=1)
+    gap = np.einsum("kv,kv->k", shapes, frames[..., -1])
+    return s[inside], m[inside], gap[inside]
 
 
 def _facets(boundary: MeshBoundary, contact: SelfContact, label: str) -> Indices:
