@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import as_ufl_weight
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.io.fields import with_third_direction
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import owned_cells
+from fenics_tfeti.fem.topology import cell_type, owned_cells
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers
@@ -258,6 +258,56 @@ def _cofactors(G: Any) -> Any:
     if G.ufl_shape[0] == 2:
         return trace * identity - G.T
     return (G * G).T - trace * G.T + (trace**2 - ufl.tr(G * G)) / 2 * identity
+
+
+def nearly_incompressible_energy(E: Any, nu: Any, u: Any) -> ufl.Form:
+    """Return the energy of `neo_hookean` with a reduced volumetric term, which does not lock.
+
+    lambda/2 (ln J)^2 is integrated by fewer points than the rest (selective reduced integration):
+    with displacements of degree 1 on quadrilaterals and hexahedra by one, with degree 2 on these by
+    two in each direction, and on triangles and tetrahedra by one. On triangles and tetrahedra of
+    degree 1 one point is full integration.
+
+    Parameters
+    ----------
+    E, nu : float or UFL expression
+        Young's modulus [Pa] and Poisson's ratio, such as 0.4999.
+    u : Function
+        The displacement [m].
+
+    Returns
+    -------
+    ufl.Form
+        The energy [J] of all cells, in two dimensions in plane strain.
+
+    Raises
+    ------
+    InputError
+        For triangles and tetrahedra of degree 1, which lock whatever the rule.
+
+    Examples
+    --------
+    >>> energy = nearly_incompressible_energy(6e6, 0.4999, u)  # doctest: +SKIP
+    >>> F = ufl.derivative(energy, u, v)  # doctest: +SKIP
+    """
+    if not isinstance(u, fem.Function):
+        expected = "the displacement, a dolfinx.fem.Function,"
+        raise wrong_type("nearly_incompressible_energy: u", u, expected)
+    mesh, degree = u.function_space.mesh, _compat.element_facts(u.function_space)[1]
+    is_simplex = cell_type(mesh).is_simplex
+    if is_simplex and degree == 1:
+        raise InputError(
+            f"nearly_incompressible_energy: cells of the type {_compat.cell_name(mesh)} with "
+            "displacements of degree 1 lock whatever the rule of quadrature: take displacements of "
+            "degree 2 (displacement_space(mesh, degree=2)), or quadrilaterals or hexahedra"
+        )
+    mu, lmbda = _lame(E, nu)
+    F = _deformation(u)
+    log = ufl.ln(ufl.det(F))
+    shear = mu / 2 * (ufl.inner(F, F) - F.ufl_shape[0]) - mu * log
+    full, reduced = 2 * degree, 0 if is_simplex else 2 * degree - 2
+    rules = [ufl.Measure("dx", mesh, metadata={"quadrature_degree": d}) for d in (full, reduced)]
+    return shear * rules[0] + lmbda / 2 * log**2 * rules[1]
 
 
 class EnergyMomentumStep:

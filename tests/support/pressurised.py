@@ -38,9 +38,16 @@ class Pressurised:
 
 
 def tube(
-    kind: str = "plane", degree: int = 1, n: int = 4, comm: MPI.Intracomm = MPI.COMM_WORLD
+    kind: str = "plane",
+    degree: int = 1,
+    n: int = 4,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+    energy: Callable[[Any], Any] | None = None,
 ) -> Pressurised:
-    """Make a quarter of a tube of radii 1 and 2 that keeps its length: plane, in space, or r, z."""
+    """Make a quarter of a tube of radii 1 and 2 that keeps its length: plane, in space, or r, z.
+
+    Another energy, a form, may take the place of the usual one where the tube is a quarter.
+    """
     dim, is_quarter = (3, True) if kind == "space" else (2, kind == "plane")
     cell = {2: "quadrilateral", 3: "hexahedron"}[dim]
     low, high = np.zeros(dim), np.append([1.0, 1.0], [0.25] * (dim - 2))
@@ -72,8 +79,8 @@ def tube(
             [[1 + H[0, 0], H[0, 1], 0], [H[1, 0], 1 + H[1, 1], 0], [0, 0, 1 + u[0] / r]]
         )
     dx = ufl.dx(metadata={"quadrature_degree": 2 * degree})
-    F = ufl.derivative(weight * _energy(G, YOUNG, POISSON) * dx, u, body.v)
-    F += follower_pressure(p, u, body.ds(INNER), weight)
+    W = energy(u) if energy else weight * _energy(G, YOUNG, POISSON) * dx
+    F = ufl.derivative(W, u, body.v) + follower_pressure(p, u, body.ds(INNER), weight)
     options = {"newton_rtol": 1e-9, "subdomain_size": 60}
     problem = NonlinearContactProblem(F, u, bcs=body.bcs, measure_weight=weight, options=options)
     return Pressurised(problem, F, u, p, lambda part: setattr(p, "value", 0.14 * part))
@@ -101,6 +108,15 @@ def _energy(G: Any, young: float, nu: float, dilatation: float = 1.0) -> Any:
     mu, lmbda = young / (2 * (1 + nu)), dilatation * young * nu / ((1 + nu) * (1 - 2 * nu))
     log = ufl.ln(ufl.det(G))
     return mu / 2 * (ufl.inner(G, G) - G.ufl_shape[0]) - mu * log + lmbda / 2 * log**2
+
+
+def pressure_on_incompressible_tube(opening: float) -> float:
+    """Return the pressure at a radial displacement of the inner surface, for E = 1.
+
+    The integral of mu (lambda^2 + 1) / lambda^3 over the stretches of the circumference.
+    """
+    inner, outer = 1.0 + opening, np.sqrt(4.0 + (1.0 + opening) ** 2 - 1.0) / 2.0
+    return float(YOUNG / 3.0 * (np.log(inner / outer) + 0.5 * (outer**-2 - inner**-2)))
 
 
 def opening_of_tube(pressure: float) -> float:
