@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -32,7 +33,7 @@ from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -42,13 +43,57 @@ class DeformedContact:
     # with the conditions of the deformed surfaces, whose gaps are bounds of the total displacement:
     # between nodes with the partners that are opposite now, of mortars at other nodes perhaps
     pairing: ContactPairing
-    normal: Vector  # (k, gdim): deformed outward unit normals; those before without new condition
-    distance: Vector  # (k,) from the master or obstacle along the normal; negative inside [m]
+    before: ContactPairing
+    gap: Vector  # distance from the master or obstacle at the new conditions; negative inside [m]
     # depth in the master body or obstacle at the new conditions; 0 outside [m]
     penetration: Vector
-    # (k,): distance along the surface, relative to the facets' size, between the parts of the
-    # master that mortar conditions before and the new ones couple; None without
-    slip: Vector | None = None
+    boundary: MeshBoundary  # deformed
+
+    @cached_property
+    def normal(self) -> Vector:
+        """Deformed outward unit normals (k, gdim); those before without new condition."""
+        normal, (old_rows, new_rows) = self.before.normal.copy(), self._common_rows
+        normal[old_rows] = self.pairing.normal[new_rows]
+        return normal
+
+    @cached_property
+    def distance(self) -> Vector:
+        """Distance (k,) from the master or obstacle along the normal; negative inside [m].
+
+        A node that slid off the master or obstacle is as far from it as its facets are large.
+        """
+        distance, (old_rows, new_rows) = self._facet_size, self._common_rows
+        distance[old_rows] = self.gap[new_rows]
+        return distance
+
+    @cached_property
+    def slip(self) -> Vector | None:
+        """Distance (k,) along the surface, relative to the facets' size; None without mortars.
+
+        It is that between the parts of the master that the conditions before and the new ones
+        couple. The first time collective.
+        """
+        if not self.before.is_mortar:
+            return None
+        size, (old_rows, new_rows) = self._facet_size, self._common_rows
+        # mean places on the slave, less those on the master
+        x = self.boundary.coordinates[:, : self.boundary.nodes.components]
+        offset = self.before.relative(x)[old_rows] - self.pairing.relative(x)[new_rows]
+        offset = tangential_part(offset, self.normal[old_rows])
+        slip = np.ones_like(size)
+        slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
+        return slip
+
+    @property
+    def _facet_size(self) -> Vector:
+        return self.before.surface.size[self.before.on_surface]
+
+    @cached_property
+    def _common_rows(self) -> tuple[Numbers, Numbers]:
+        """The rows before and now of nodes that have conditions in both."""
+        slaves = self.before.slave, self.pairing.slave
+        _, old_rows, new_rows = np.intersect1d(*slaves, return_indices=True)
+        return old_rows, new_rows
 
 
 def deformed_contacts(
@@ -83,14 +128,11 @@ def deformed_contacts(
             rotations = SurfaceRotations.of(surface, boundary)
             surface = replace(surface, normal=rotations.turned(surface.normal))
         whole = [next(gathered) for _ in surfaces]
-        new = _deformed(contact, pairing, surface.normal, whole, boundary)
-        moved = np.sum(new.pairing.relative(u) * new.pairing.normal, axis=1)
-        stretch = new.pairing.stretch_at(boundary)
-        distance, penetration, gap = map(
-            surface.without_rounding, (new.distance, new.penetration, new.pairing.gap + moved)
-        )
-        total = replace(new.pairing, gap=gap, stretch=stretch)
-        measured.append(replace(new, pairing=total, distance=distance, penetration=penetration))
+        new, depth = _deformed(contact, pairing, surface.normal, whole, boundary)
+        moved = np.sum(new.relative(u) * new.normal, axis=1)
+        distance, depth, gap = map(surface.without_rounding, (new.gap, depth, new.gap + moved))
+        total = replace(new, gap=gap, made_on=boundary)
+        measured.append(DeformedContact(total, pairing, distance, depth, boundary))
     return measured
 
 
@@ -100,21 +142,23 @@ def _deformed(
     user_normal: Vector,
     surfaces: Sequence[SurfaceFacets],
     boundary: MeshBoundary,
-) -> DeformedContact:
-    """Measure a contact with its whole deformed surfaces; none for mortars. Collective.
+) -> tuple[ContactPairing, Vector]:
+    """Return the new conditions of a contact, and depths of penetration there. Collective.
 
-    Where the user has given normals, they are those (k, gdim) at the nodes of the surface. The gaps
-    of the new conditions are distances of the deformed surfaces.
+    They are made with its whole deformed surfaces; none for mortars. Where the user has given
+    normals, they are those (k, gdim) at the nodes of the surface. The gaps are distances of the
+    deformed surfaces.
     """
     if pairing.is_mortar:
         assert isinstance(contact, ContactPair)
-        return _deformed_mortar(contact, pairing, user_normal, boundary)
+        new = _deformed_mortar(contact, pairing, user_normal, boundary)
+        return new, np.maximum(-new.gap, 0.0)
     if isinstance(contact, RigidObstacle):
         surface = deformed_surface(pairing.surface, surfaces[0], boundary)
         found = conditions_at_obstacle(surface, contact.obstacle)
         parts = vars(found) | {"coverage": np.ones_like(found.gap)}
         new = replace(pairing, **parts)
-        return DeformedContact(new, *_at_nodes_before(pairing, new), np.maximum(-new.gap, 0.0))
+        return new, np.maximum(-new.gap, 0.0)
     assert isinstance(contact, ContactPair)
     if contact.normal is not None:
         surface = pairing.surface.on(boundary, user_normal)
@@ -126,8 +170,8 @@ def _deformed(
 
 def _deformed_pairs(
     pairing: ContactPairing, surface: Surface, slave: SurfaceFacets, master: SurfaceFacets
-) -> DeformedContact:
-    """Measure pairs of nodes, with the slave's deformed surface. Collective."""
+) -> tuple[ContactPairing, Vector]:
+    """Return new pairs of nodes and depths, with the slave's deformed surface. Collective."""
     rows = np.searchsorted(slave.nodes, pairing.slave)
     partner = np.searchsorted(master.nodes, pairing.master)
     normal = surface.normal[pairing.on_surface]
@@ -141,12 +185,12 @@ def _deformed_pairs(
     terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
     area = surface.areas(pairing.covered)[pairing.on_surface]
     new = replace(pairing, terms=terms, normal=normal, gap=distance, area=area)
-    return DeformedContact(new, normal, distance, np.maximum(-signed, 0.0))
+    return new, np.maximum(-signed, 0.0)
 
 
 def _deformed_mortar(
     contact: ContactPair, pairing: ContactPairing, user_normal: Vector, boundary: MeshBoundary
-) -> DeformedContact:
+) -> ContactPairing:
     name, prescribed = pairing.name, pairing.prescribed
     surface, tagged_master = (surface.on(boundary) for surface in pairing.surfaces)
     assert prescribed is not None
@@ -162,38 +206,16 @@ def _deformed_mortar(
     given = contact.normal is not None
     conditions = mortar_conditions(surface, master, shared, prescribed, pairing.slave, given)
     check_weight(conditions, pairing.surface)
-    mean_distance = np.sum(conditions.gap * conditions.normal, axis=1)
-    new = replace(
+    return replace(
         pairing,
         terms=conditions.terms,
         normal=conditions.normal,
-        gap=mean_distance,
+        gap=np.sum(conditions.gap * conditions.normal, axis=1),
         area=conditions.area,
         covered=conditions.covered,
         coverage=conditions.coverage,
         shares=conditions.shares,
     )
-    normal, distance = _at_nodes_before(pairing, new)
-    size = surface.size[pairing.on_surface]
-    slip = np.ones_like(size)
-    _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    # mean places on the slave, less those on the master
-    x = boundary.coordinates[:, : boundary.nodes.components]
-    offset = pairing.relative(x)[old_rows] - new.relative(x)[new_rows]
-    offset = tangential_part(offset, normal[old_rows])
-    slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
-    return DeformedContact(new, normal, distance, np.maximum(-mean_distance, 0.0), slip)
-
-
-def _at_nodes_before(pairing: ContactPairing, new: ContactPairing) -> tuple[Vector, Vector]:
-    """Return new normals (k, gdim) and gaps (k,) at the nodes of the conditions before.
-
-    A node that slid off the master or obstacle is as far from it as its facets are large.
-    """
-    distance, normal = pairing.surface.size[pairing.on_surface], pairing.normal.copy()
-    _, old_rows, new_rows = np.intersect1d(pairing.slave, new.slave, return_indices=True)
-    distance[old_rows], normal[old_rows] = new.gap[new_rows], new.normal[new_rows]
-    return normal, distance
 
 
 def _with_normals(surface: Surface, facets: SurfaceFacets) -> Surface:

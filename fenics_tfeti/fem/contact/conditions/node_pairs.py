@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import Conditions, JoinedPairs, Terms
+from fenics_tfeti.fem.contact.conditions.pairing import Accuracy, Conditions, JoinedPairs, Terms
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.descriptions.partners import (
     Along,
@@ -112,18 +112,21 @@ def match_nodes(pairs: JoinedPairs, how: NodePartners) -> Conditions:
         )
     _check_not_crossed(slave, at_corners)
     chords = chord_heights(slave.corners, slave.at_corners(slave.normal))[0]
+    accuracy = Accuracy(
+        # the nodes of both surfaces are on the curved one, up to their chords
+        2.0 * slave.max_of_facets(chords)[paired],
+        angle,
+        np.bincount(contact, slave.area[paired], len(slave.names)),
+        distance=slave.without_rounding(partners.distance[paired], contact),
+    )
     return Conditions(
         Terms.of_nodes(slave.nodes[paired], master.nodes[partner]),
         normal,
         (images - slave.points)[paired],
         slave.areas(covered)[paired],
         (slave.share_of_area(covered) / slave.area)[paired],
-        # the nodes of both surfaces are on the curved one, up to their chords
-        2.0 * slave.max_of_facets(chords)[paired],
-        angle,
         covered,
-        np.bincount(contact, slave.area[paired], len(slave.names)),
-        distance=slave.without_rounding(partners.distance[paired], contact),
+        lambda: accuracy,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -119,6 +119,32 @@ class JoinedPairs:
 
 
 @dataclass(frozen=True)
+class Accuracy:
+    """How well k conditions fit their surfaces."""
+
+    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
+    chord: Vector
+    angle: Vector  # (k,): largest angle between normals and those opposite [degrees]
+    # covered area of this rank's slave facets of each contact, without weight [m^2 or m]
+    covered_area: Array
+    # (k,): of mortar conditions the chord less the curvature of the facets [m]
+    deviation: Vector | None = None
+    distance: Vector | None = None  # (k,): of nodes what the tolerance limits [m]
+
+
+@dataclass(frozen=True)
+class PressureShares:
+    """Shares of all nodes in mortar conditions, see `mean_traction`: only results need them."""
+
+    make: Callable[[], sp.csr_matrix]
+
+    @cached_property
+    def matrix(self) -> sp.csr_matrix:
+        """The shares (k, n). The first time collective."""
+        return self.make()
+
+
+@dataclass(frozen=True)
 class Conditions:
     """Conditions between two surfaces at the k slave nodes that this rank owns."""
 
@@ -128,16 +154,9 @@ class Conditions:
     gap: Vector  # (k, gdim): from the slave to the master, of mortar conditions the means [m]
     area: Vector  # (k,): see `ContactPairing`
     coverage: Vector  # (k,): covered share of the area that belongs to the node
-    # (k,): largest distance of facets there from curved surfaces through their nodes [m]
-    chord: Vector
-    angle: Vector  # (k,): largest angle between normals and those opposite [degrees]
     covered: Mask  # (f,): whether this rank's slave facets are covered, at least in part
-    # covered area of this rank's slave facets of each contact, without weight [m^2 or m]
-    covered_area: Array
-    # (k,): of mortar conditions the chord less the curvature of the facets [m]
-    deviation: Vector | None = None
-    distance: Vector | None = None  # (k,): of nodes what the tolerance limits [m]
-    shares: sp.csr_matrix | None = None  # see `mean_traction`
+    accuracy: Callable[[], Accuracy]  # collective
+    shares: PressureShares | None = None
 
 
 @dataclass(frozen=True)
@@ -162,10 +181,8 @@ class ContactPairing:
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: Mask | None = None
     master_surface: Surface | None = None  # None for obstacles
-    shares: sp.csr_matrix | None = None  # of mortar conditions, see `mean_traction`
-    # (k,): area of the surface around the nodes where the conditions are made, relative to that of
-    # the undeformed surface
-    stretch: Vector | float = 1.0
+    shares: PressureShares | None = None  # of mortar conditions
+    made_on: MeshBoundary | None = None  # deformed; None for the undeformed surfaces
 
     @property
     def name(self) -> str:
@@ -203,13 +220,20 @@ class ContactPairing:
         """The undeformed slave nodes (k, 3) [m]."""
         return self.surface.coordinates[self.on_surface]
 
-    def stretch_at(self, deformed: MeshBoundary) -> Vector:
-        """Return the deformed area around the nodes over the undeformed one, (k,). Collective."""
-        return self.surface.stretch(deformed, self.covered)[self.on_surface]
+    @cached_property
+    def stretch(self) -> Vector | float:
+        """The area (k,) around the nodes where the conditions are made over the undeformed one.
 
-    def with_stretch(self, stretch: Vector) -> ContactPairing:
-        """Return the conditions with the areas of another state, of which the stretch (k,) is."""
-        return replace(self, area=self.area / self.stretch * stretch, stretch=stretch)
+        The first time collective.
+        """
+        if self.made_on is None:
+            return 1.0
+        return self.surface.stretch(self.made_on, self.covered)[self.on_surface]
+
+    def with_areas_of(self, deformed: MeshBoundary) -> ContactPairing:
+        """Return the conditions with the areas of another state. Collective."""
+        there = replace(self, made_on=deformed)
+        return replace(there, area=self.area / self.stretch * there.stretch)
 
     def relative(self, values: Vector) -> Vector:
         """Return means (k, q) of values (n, q), the slave's less the master's. Collective."""
@@ -217,7 +241,8 @@ class ContactPairing:
 
     def mean_traction(self, force: Vector) -> Vector:
         """Return the tractions (k, ...) that are reported for forces (k, ...). Collective."""
-        return mean_traction(self.surface.boundary.nodes, self.shares, force, self.area)
+        shares = None if self.shares is None else self.shares.matrix
+        return mean_traction(self.surface.boundary.nodes, shares, force, self.area)
 
 
 def mean_traction(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise, product
 from typing import Any, TypeAlias
 
@@ -18,7 +19,12 @@ import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.conditions.pairing import Conditions, ContactPairing, JoinedPairs
+from fenics_tfeti.fem.contact.conditions.pairing import (
+    Conditions,
+    ContactPairing,
+    JoinedPairs,
+    PressureShares,
+)
 from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
@@ -224,20 +230,21 @@ def _pairings(
     rows = slave.rows_of(found.terms.slave)
     contact, places = slave.contact[rows], slave.coordinates[rows]
     gap = slave.without_rounding(np.sum(found.gap * found.normal, axis=1), contact)
-    gap = initial_gaps(comm, pairs.contacts, contact, gap, found.chord, places, names)
-    deviation = found.deviation
+    accuracy = found.accuracy()
+    gap = initial_gaps(comm, pairs.contacts, contact, gap, accuracy.chord, places, names)
+    deviation = accuracy.deviation
     summaries = pairing_summaries(
         comm,
         names,
         "node_to_node" if prescribed is None else "mortar",
         contact,
         gap,
-        found.angle,
+        accuracy.angle,
         slave.contact,
-        found.distance,
+        accuracy.distance,
         slave.size[rows],
         found.area,
-        found.covered_area,
+        accuracy.covered_area,
         None if deviation is None else slave.without_rounding(deviation, contact),
     )
     for pair, summary in zip(pairs.contacts, summaries, strict=True):
@@ -252,11 +259,11 @@ def _pairings(
     numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
     terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
     ends = np.searchsorted(contact, np.arange(count + 1))
-    shares: list[sp.csr_matrix | None] = [None] * count
+    shares: list[PressureShares | None] = [None] * count
     if found.shares is not None:
-        S, size = found.shares, (rows.size, boundary.nodes.total)
+        S, size = found.shares.matrix, (rows.size, boundary.nodes.total)
         S = sp.csr_matrix((S.data, copies.values_at(numbers, S.indices), S.indptr), size)
-        shares = [S[first:end] for first, end in pairwise(ends)]
+        shares = [PressureShares(partial(S.__getitem__, slice(*cut))) for cut in pairwise(ends)]
     columns = [
         terms.split(ends),
         *(split(contact, values, count) for values in (normal, gap, found.area)),

@@ -197,23 +197,24 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
             f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
             "surfaces that lie on each other"
         )
-    gap = np.sum(fullest.gap * slave.normal[rows], axis=1)
+    gap, accuracy = np.sum(fullest.gap * slave.normal[rows], axis=1), fullest.accuracy()
     (summary,) = pairing_summaries(
         comm,
         [name],
         "tied",
         slave.contact[rows],
         gap,
-        fullest.angle,
+        accuracy.angle,
         slave.contact,
         area=fullest.area,
-        covered_area=fullest.covered_area,
+        covered_area=accuracy.covered_area,
     )
     nodes, first = np.unique(
         np.concatenate([part.terms.slave for part in conditions]), return_index=True
     )
     # nodes have the same shares in all components
-    shares = sp.vstack([part.shares for part in conditions], format="csr")[first]
+    of_parts = [part.shares.matrix for part in conditions if part.shares is not None]
+    shares = sp.vstack(of_parts, format="csr")[first]
     area = np.zeros(nodes.size)
     for part in conditions:
         area[np.searchsorted(nodes, part.terms.slave)] = part.area

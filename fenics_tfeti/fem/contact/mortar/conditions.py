@@ -7,12 +7,18 @@ them. The contributions of the facets are summed at the owners of the slave's no
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import permutations
 
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.contact.conditions.pairing import Conditions, Terms
+from fenics_tfeti.fem.contact.conditions.pairing import (
+    Accuracy,
+    Conditions,
+    PressureShares,
+    Terms,
+)
 from fenics_tfeti.fem.contact.conditions.summary import angles_between
 from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
 from fenics_tfeti.fem.contact.mortar.integrals import FacetIntegrals, integrate, integrate_alone
@@ -140,22 +146,36 @@ def _conditions(
     integrated = S @ np.column_stack([normal, matrices.gap, matrices.area])
     means = all_nodes.sum_at_owners(nodes, integrated)[own]
     normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
-    largest = _largest_of_facets(slave, master, integrals)
-    chord, deviation, angle = all_nodes.sum_at_owners(corners.ravel(), largest, np.maximum)[own].T
-    facets = covered_shares(slave.facets, integrals) > 0.0
+    facets = np.zeros(len(slave.facets), dtype=bool)
+    facets[integrals.facet] = True
+    shares = partial(_pressure_shares, all_nodes, corners, slave.nodes, coverage, terms.slave)
     return Conditions(
         terms,
         unit(normal),
         gap / area,
         area[:, 0],
         coverage_and_support(sums[own])[0],
-        chord,
-        angle,
         facets,
-        np.bincount(surface.facet_contact[facets], integrals.covered, len(surface.extent)),
-        deviation,
-        shares=_pressure_shares(all_nodes, corners, slave.nodes, coverage, terms.slave),
+        partial(_accuracy, surface, slave, master, integrals, own),
+        PressureShares(shares),
     )
+
+
+def _accuracy(
+    surface: Surface,
+    slave: SurfaceFacets,
+    master: SurfaceFacets,
+    integrals: FacetIntegrals,
+    own: Numbers,
+) -> Accuracy:
+    """Measure how well conditions at own nodes (k,) fit their surfaces. Collective."""
+    corners = slave.nodes[slave.facets.corners[integrals.facet]].ravel()
+    largest = _largest_of_facets(slave, master, integrals)
+    sums = surface.boundary.nodes.sum_at_owners(corners, largest, np.maximum)
+    chord, deviation, angle = sums[own].T
+    contact = surface.facet_contact[integrals.facet]
+    covered = np.bincount(contact, integrals.covered, len(surface.extent))
+    return Accuracy(chord, angle, covered, deviation)
 
 
 def _pressure_shares(

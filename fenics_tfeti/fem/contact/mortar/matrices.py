@@ -94,18 +94,19 @@ def multiplier_shares(support: Vector, least: Vector, free: Mask, pairs: Numbers
     j, k = pairs.T
     better = support[k] > (1.0 + RELATIVE_ROUNDING) * support[j]
     takes = ~free[k] & (free[j] | (support[j] < least[j]) & better)
-    size = (support.size, support.size)
-    links = sp.csc_matrix((np.ones(takes.sum()), (k[takes], j[takes])), shape=size)
-    links.data[:] = 1.0
-    number = np.diff(links.indptr)
-    kept = (number == 0) & ~free & (support > 0.0)
-    shares = links @ sp.diags(1.0 / np.maximum(number, 1)) + sp.diags((number == 0).astype(float))
+    n = support.size
+    giver, taker = np.divmod(np.unique(n * j[takes] + k[takes]), n)
+    number = np.bincount(giver, minlength=n)
+    alone = np.flatnonzero(number == 0)
+    values = np.concatenate([1.0 / number[giver], np.ones(alone.size)])
+    places = np.append(taker, alone), np.append(giver, alone)
+    shares = sp.csc_matrix((values, places), shape=(n, n))
     # what is given to nodes that give it on: always to nodes that are supported better
-    while shares[number > 0].nnz:
+    while number[shares.indices].any():
         shares = shares @ shares
-    shares = sp.diags(kept.astype(float)) @ shares
+    shares.data *= (~free & (support > 0.0))[shares.indices]
     shares.eliminate_zeros()
-    return shares.tocsc()
+    return shares
 
 
 def covered_shares(slave: Facets, integrals: FacetIntegrals) -> Vector:

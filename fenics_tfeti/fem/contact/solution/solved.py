@@ -157,7 +157,7 @@ def _contact_result(
     pairing, friction = found.pairing, found.friction
     if deformed is not None:
         # the solution has displaced the surfaces of its conditions
-        pairing = pairing.with_stretch(pairing.stretch_at(deformed))
+        pairing = pairing.with_areas_of(deformed)
     force = solution.normal_force[rows]
     pressure = pairing.mean_traction(force)
     entry = ContactEntry(
