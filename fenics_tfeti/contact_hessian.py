@@ -44,13 +44,19 @@ _MOST = 12
 _ALONG = 1e-4
 
 
+@dataclass
+class Spent:
+    """Applications of F in a step, also for solutions that are not taken."""
+
+    products: int = 0
+
+
 @dataclass(frozen=True)
 class Correction:
     """The solution of a step with the Hessian of contact."""
 
     change: Change
     solves: int = 0
-    products: int = 0
     left: float = 0.0  # part of the residual
     added: Change | None = None  # by GMRES to the solution without the Hessian
     curvature: float = 0.0  # of the energy along that, at the most [J]
@@ -76,6 +82,7 @@ class ContactHessian:
     base: Face  # of M
     linear: LinearProblem  # M
     used: Sequence[Subdomain]  # of M
+    spent: Spent
 
     @cached_property
     def _force(self) -> tuple[Vector, Vector]:
@@ -114,8 +121,8 @@ class ContactHessian:
             s.stiffness_times(u) for s, u in zip(self.exact, change.displacements, strict=True)
         ]
         force = load_step.torn.sum_at_nodes(self.exact, parts) + pressed + turned
-        gap = (self._gap - face.distances_of(rows)) / eps
-        tied_gap = (self._tied_gap - rows.tied.gap / rows.tied.length) / eps
+        gap = _difference(self._gap, face.distances_of(rows)) / eps
+        tied_gap = _difference(self._tied_gap, rows.tied.gap / rows.tied.length) / eps
         force = load_step.at_free(force, face.rows)
         return self._flat(force, gap, tied_gap, beyond + turned_beyond + lacking)
 
@@ -194,8 +201,7 @@ class ContactHessian:
         the face's `contacts` and ties.
         """
         right = self._flat(load, gap, tied_gap, beyond)
-        solution = self.linear.approximate(self._data(right)[0], _INNER)
-        first = Change(solution.displacements, solution.forces)
+        first = self._solution(self._data(right)[0], _INNER)
         accuracy = (_ALONG, self._space.norm(right), 0.0)
         return self._improved(first, right, beyond, self._at_rest, accuracy).change
 
@@ -220,18 +226,15 @@ class ContactHessian:
         largest = np.abs(torn.at_owned_nodes(first.displacements))
         longest, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_step.rounding.extent
         length = min(max(longest, _SHORTEST * extent), _LONGEST * extent)
-        at_rest, products = self._at_rest, 0
+        at_rest = self._at_rest
         # the forces of other rows are those of `first` already
         rows = self.face.held.size
         changes = np.where(self.face.held, first.forces.normal[:rows], 0.0)
         residual = right - self.times(first, changes, begin, length, beyond)
 
         def step(v: Vector) -> tuple[tuple[Change, Vector], Vector]:
-            nonlocal products
             data, beyond = self._data(v)
-            solution = self.linear.approximate(data, _INNER)
-            products += solution.products
-            change = Change(solution.displacements, solution.forces)
+            change = self._solution(data, _INNER)
             normal = change.forces.normal[:rows]
             return (change, v), self.times(change, normal, at_rest, length, beyond)
 
@@ -244,7 +247,7 @@ class ContactHessian:
             added, given = added.plus(float(factor), change), given + factor * v
         left /= max(beta, size, negligible)
         curvature = self._curvature(residual, given, added)
-        return Correction(first.plus(1.0, added), len(parts), products, left, added, curvature)
+        return Correction(first.plus(1.0, added), len(parts), left, added, curvature)
 
     def _curvature(self, right: Vector, given: Vector, added: Change) -> float:
         """Return d'(K + E)d of an addition d, at the most [J]. Collective.
@@ -261,16 +264,21 @@ class ContactHessian:
         work, of_rows = comm.allreduce(np.array([work, of_rows])).tolist()
         return work + abs(of_rows)
 
-    def first(self, balance: tuple[Vector, Vector], rtol: float) -> tuple[Change, int]:
-        """Return the solution of M of the present loads and gaps, and its products. Collective."""
+    def _solution(self, data: LinearData, rtol: float) -> Change:
+        """Return the solution of M. Collective."""
+        solution = self.linear.approximate(data, rtol)
+        self.spent.products += solution.products
+        return Change(solution.displacements, solution.forces)
+
+    def first(self, balance: tuple[Vector, Vector], rtol: float) -> Change:
+        """Return the solution of M of the present loads and gaps. Collective."""
         data, _ = self._data(self._flat(balance[0], self._gap, self._tied_gap, balance[1]))
         total = self.load_step.torn.nodes.total
         loads = [
             load if s.nodes[0] < total else load + s.load
             for s, load in zip(self.exact, data.loads, strict=True)
         ]
-        solution = self.linear.approximate(replace(data, loads=loads), rtol)
-        return Change(solution.displacements, solution.forces), solution.products
+        return self._solution(replace(data, loads=loads), rtol)
 
     def gaps_after(self, change: Change) -> Vector:
         """Return the gaps (k,) of the contact rows after a change, to first order. Collective."""
@@ -293,3 +301,9 @@ class ContactHessian:
         none = RowValues.zeros(self.linear.system)
         jumps = replace(none, normal=gap / unit, tied=tied_gap / unit)
         return LinearData(loads, jumps, none), beyond
+
+
+def _difference(before: Vector, after: Vector) -> Vector:
+    """Return the difference, zero where there is no row and where nothing is opposite."""
+    is_known = np.isfinite(before) & np.isfinite(after)
+    return np.subtract(before, after, out=np.zeros_like(before), where=is_known)

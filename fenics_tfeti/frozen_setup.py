@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fenics_tfeti.contact_hessian import ContactHessian, Correction
+from fenics_tfeti.contact_hessian import ContactHessian, Correction, Spent
 from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.feti import Subdomain, TornSolution
@@ -42,6 +42,7 @@ class FrozenSetup:
         state: NewtonState,
         face: Face,
         accuracy: tuple[float, float, float],
+        spent: Spent,
     ) -> Correction | None:
         """Solve the linearised problem of a state with the same face. Collective.
 
@@ -53,9 +54,9 @@ class FrozenSetup:
         balance = load_step.out_of_balance(state, face)
         exact = torn.tangents(face.rows.conditions)
         hessian = ContactHessian(
-            load_step, state.displacement, face, exact, self.face, self.linear, self.used
+            load_step, state.displacement, face, exact, self.face, self.linear, self.used, spent
         )
-        first, products = hessian.first(balance, first_rtol)
+        first = hessian.first(balance, first_rtol)
         corrected = hessian.corrected(first, balance, rtol, negligible)
         forces = face.forces_of(self.face.changes_of(corrected.change.forces))
         change = replace(corrected.change, forces=forces)
@@ -64,5 +65,4 @@ class FrozenSetup:
         differ = (closed & ~face.held) | face.pulling(forces.normal)
         if any_rank(torn.nodes.comm, differ) or corrected.curvature < 0.0:
             return None
-        products += corrected.products
-        return replace(corrected, change=change, solves=1 + corrected.solves, products=products)
+        return replace(corrected, change=change, solves=1 + corrected.solves)

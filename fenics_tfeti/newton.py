@@ -11,7 +11,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.contact_hessian import ContactHessian, Correction
+from fenics_tfeti.contact_hessian import ContactHessian, Correction, Spent
 from fenics_tfeti.errors import (
     InputError,
     NotConverged,
@@ -80,7 +80,7 @@ class NewtonStep:
     active : int
         Pressing conditions.
     products : int
-        Applications of F.
+        Applications of F, also for solutions that were not taken.
     corrections : int
         Solutions on the face of the pressing conditions, for contact forces that turn and move with
         the surfaces, and all of a step that takes the set-up of an earlier one.
@@ -140,6 +140,7 @@ class NewtonIteration:
         self.steps: list[NewtonStep] = []
         self._increment = Function(load_step.torn.space)
         self._frozen: FrozenSetup | None = None
+        self._spent = Spent()
         self._least = 0.0  # force that residuals are relative to [N]
         # nodes whose contact changed in the last step, and also in the one before
         self._changed = self._alternating = np.zeros(0, dtype=bool)
@@ -172,6 +173,7 @@ class NewtonIteration:
 
     def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
+        self._spent = Spent()
         step = self._solve_linearised(state, monitor)
         corrected = step.corrected
         change = corrected.change
@@ -195,7 +197,7 @@ class NewtonIteration:
                 new.equilibrium.friction,
                 length,
                 int(torn.nodes.comm.allreduce(np.count_nonzero(pressing))),
-                corrected.products,
+                self._spent.products,
                 corrected.solves,
                 report.deflation["negative"],
                 0.0,
@@ -259,7 +261,7 @@ class NewtonIteration:
         corrected = None
         # rows may have no values near the state
         with suppress(InputError, NotConverged):
-            corrected = frozen.corrected(self._load_step, state, face, accuracy)
+            corrected = frozen.corrected(self._load_step, state, face, accuracy, self._spent)
         if corrected is None or corrected.left > _FAILED:
             return None
         self.set_up = frozen
@@ -305,14 +307,14 @@ class NewtonIteration:
         solver = replace(options.solver, error_if_not_converged=False)
         self.solver = TornSolver(prepared, solver, self._timer, self.solver)
         self.solution = solution = self.solver.solve(monitor)
+        self._spent.products += solution.report.products["total"]
         if not (is_last or solution.report.converged):
             return None
         comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
             face, known = face.without(pulling), (system, prepared)
             return self._solve_on(face, state, tangent, monitor, is_last, known)
-        products = solution.report.products["total"]
-        corrected = without = Correction(Change.of(solution), products=products)
+        corrected = without = Correction(Change.of(solution))
         # forces of ties and bolts turn with them, too, and pressures follow the surface
         lacks = face.held.any() or face.rows.tied.size > 0
         lacks = lacks or self._follows_path or not have_symmetric_tangents(system.subdomains)
@@ -326,13 +328,13 @@ class NewtonIteration:
                 face,
                 linear,
                 prepared.subdomains,
+                self._spent,
             )
             # rows may have no values near the state
             with suppress(InputError, NotConverged):
                 corrected = hessian.corrected(
                     without.change, (force, beyond), *self._accuracy(state)
                 )
-                corrected = replace(corrected, products=products + corrected.products)
             if corrected is without or corrected.left > _FAILED:
                 if not is_last:
                     return None

@@ -13,7 +13,7 @@ import ufl
 from dolfinx.fem import Function
 
 from fenics_tfeti.arc_length import Arc, ArcIteration
-from fenics_tfeti.errors import InputError, NotConverged, wrong_type
+from fenics_tfeti.errors import InputError, Interrupted, NotConverged, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.arguments import as_residual
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
@@ -353,18 +353,20 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         rounding = Rounding.of(self._torn.torn.assemble(), self._torn.nodes)
         load_step = replace(load_step, rounding=rounding)
         iteration = self._iteration = self._new_iteration(load_step)
+        state: NewtonState | None = None
         try:
             for state in iteration.run(first, monitor):
+                if checkpoint is not None:
+                    self._store_state(state, iteration, is_last=False)
+                    self._save(checkpoint)
+        except Interrupted:
+            if state is not None:
                 self._store_state(state, iteration, is_last=False)
-                self._step = replace(
-                    self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
-                )
-                self._save(checkpoint)
+            raise
         except NotConverged as error:
-            if not iteration.steps:
+            if state is None:
                 raise
-            # a last step may have failed after it had changed u
-            fill_owned(self.u, self._step.displacement)
+            self._store_state(state, iteration, is_last=False)
             self._report = replace(self.report, converged=False, reason=str(error))
             error.solution, error.report = self.u, self.report
             if self.options.solver.error_if_not_converged:
@@ -372,6 +374,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             return
         finally:
             self._solver = iteration.solver
+        assert state is not None
         self._store_state(state, iteration)
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
@@ -400,6 +403,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     def _store_state(
         self, state: NewtonState, iteration: NewtonIteration, is_last: bool = True
     ) -> None:
+        # a step that failed has changed u
+        fill_owned(self.u, state.nodal_displacement.ravel())
         solution = solution_at(
             state.rows,
             state.multipliers,
@@ -409,6 +414,9 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         )
         conditions = state.rows.conditions
         self._store(solution, conditions, state.bodies, is_last, newton=list(iteration.steps))
+        self._step = replace(
+            self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
+        )
 
     def _update(self) -> None:
         if not self._torn.update_supports(self.bcs, self.contacts):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Literal
 
 from mpi4py import MPI
@@ -390,17 +391,17 @@ class ContactRows:
         """Whether each term is that of a slave node, (terms,)."""
         return terms_of_slaves(self.offsets, np.asarray(self.slaves))
 
-    @property
+    @cached_property
     def length(self) -> Vector:
         """The length D of the sum of the slave's coefficients in each row, (rows,)."""
         return np.linalg.norm(self._sum_of_slave, axis=1)
 
-    @property
+    @cached_property
     def normal(self) -> Vector:
         """The unit normal of each row, (rows, gdim)."""
         return self._sum_of_slave / self.length[:, None]
 
-    @property
+    @cached_property
     def _sum_of_slave(self) -> Vector:
         sums = np.zeros((self.size, self.coefficients.shape[1]))
         np.add.at(sums, self.row, np.where(self.on_slave[:, None], self.coefficients, 0.0))

@@ -124,6 +124,10 @@ class DeformedRows:
         tangential[place[slipping]] = vectors[slipping]
         return replace(multipliers, tangential=tangential)
 
+    @cached_property
+    def _tangential_rows(self) -> ContactRows:
+        return self.friction.tangential_rows(self.contacts)
+
     def force(self, multipliers: Multipliers) -> tuple[Vector, Vector]:
         """Return B'lambda (nodes, gdim) at the nodes that this rank owns [N]. Collective.
 
@@ -133,8 +137,7 @@ class DeformedRows:
         normal = self.normal_forces(multipliers)
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         if site.size:
-            tangential = self.friction.tangential_rows(self.contacts)
-            terms.append((tangential, self.friction_forces(multipliers).ravel()))
+            terms.append((self._tangential_rows, self.friction_forces(multipliers).ravel()))
         at = np.concatenate([rows.nodes for rows, _ in terms])
         forces = np.concatenate(
             [

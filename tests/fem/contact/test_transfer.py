@@ -46,10 +46,17 @@ def result_of(matched, pressure):
     )
 
 
+def stretched(pairing, factor):
+    """Return conditions of surfaces whose area is larger by a factor."""
+    larger = replace(pairing, area=factor * pairing.area)
+    vars(larger)["stretch"] = factor
+    return larger
+
+
 def transferred(coarse, contact, fine_match, displacement, pressure=linear, stretch=1.0):
     """Return what the fine mesh expects of the solution of a coarse one."""
     matched = match_contacts(MeshBoundary.of(coarse.V), [contact])[0]
-    matched = replace(matched, area=stretch * matched.area, stretch=stretch)
+    matched = stretched(matched, stretch)
     result = result_of(matched, pressure(matched.coordinates))
     solved = gather_solved([matched], [result], displacement)
     return expected_contact(solved, fine_match)
@@ -68,7 +75,7 @@ def test_forces_are_transferred_between_states():
     """The coarse surface is twice as large as the undeformed one, the fine one three times."""
     coarse, fine = blocks("quadrilateral", n=2), blocks("quadrilateral", n=4)
     matched = fine.pairing(fine.pair)
-    present = replace(matched, area=3.0 * matched.area, stretch=3.0)
+    present = stretched(matched, 3.0)
     guess = transferred(coarse, coarse.pair, [present], coarse.displacement(), stretch=2.0)
     expected = 2.0 * linear(matched.coordinates) * matched.area
     np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
