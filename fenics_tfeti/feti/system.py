@@ -403,9 +403,8 @@ class ContactRows:
 
     @cached_property
     def _sum_of_slave(self) -> Vector:
-        sums = np.zeros((self.size, self.coefficients.shape[1]))
-        np.add.at(sums, self.row, np.where(self.on_slave[:, None], self.coefficients, 0.0))
-        return sums
+        of_slave = np.where(self.on_slave[:, None], self.coefficients, 0.0)
+        return sum_by_row(self.row, of_slave, self.size)
 
 
 @dataclass(frozen=True)
@@ -595,6 +594,12 @@ class TornSystem:
 def rows_of_terms(offsets: Numbers) -> Numbers:
     """Return the row of each term of sparse rows, (terms,); the offsets are (rows + 1,)."""
     return np.repeat(np.arange(offsets.size - 1), np.diff(offsets))
+
+
+def sum_by_row(row: Numbers, values: Vector, size: int) -> Vector:
+    """Sum the values (terms, k) of terms by their row, (size, k)."""
+    sums = [np.bincount(row, column, size) for column in values.T]
+    return np.stack(sums, axis=1).astype(np.float64, copy=False)
 
 
 def terms_of_slaves(offsets: Numbers, slaves: Numbers) -> NDArray[np.bool_]:

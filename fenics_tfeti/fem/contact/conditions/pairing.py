@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti.system import ContactRows, rows_of_terms, terms_of_slaves
+from fenics_tfeti.feti.system import ContactRows, rows_of_terms, sum_by_row, terms_of_slaves
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
@@ -99,9 +99,7 @@ class Terms:
         )
 
     def _sums(self, values: Vector) -> Vector:
-        sums = np.zeros((self.slaves.size, values.shape[1]))
-        np.add.at(sums, self.row, values)
-        return sums
+        return sum_by_row(self.row, values, self.slaves.size)
 
 
 @dataclass(frozen=True)
@@ -329,6 +327,4 @@ def row_values(
     known = ~in_mesh & (rows.nodes < nodes.total + len(beyond))
     nodal[known] = beyond[rows.nodes[known] - nodes.total]
     terms = np.sum(rows.coefficients * nodal, axis=1)
-    sums = np.zeros(rows.size)
-    np.add.at(sums, rows.row, terms)
-    return sums
+    return np.bincount(rows.row, terms, rows.size).astype(np.float64, copy=False)
