@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fenics_tfeti.contact_hessian import ContactHessian, Correction, Spent
-from fenics_tfeti.fem.newton.face import Face
+from fenics_tfeti.fem.newton.face import Change, Face
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.feti import Subdomain, TornSolution
 from fenics_tfeti.feti.solution.linear import LinearProblem
@@ -56,13 +56,26 @@ class FrozenSetup:
         hessian = ContactHessian(
             load_step, state.displacement, face, exact, self.face, self.linear, self.used, spent
         )
+        # gaps of the size of rounding of coordinates are closed
+        depth = load_step.negligible_length(state)
         first = hessian.first(balance, first_rtol)
+        # which mostly tells already that other conditions would hold
+        if not self._is_on_face(hessian, self._at_rows(face, first), depth):
+            return None
         corrected = hessian.corrected(first, balance, rtol, negligible)
-        forces = face.forces_of(self.face.changes_of(corrected.change.forces))
-        change = replace(corrected.change, forces=forces)
-        # as far as rounding of coordinates goes
-        closed = hessian.gaps_after(change) < -load_step.negligible_length(state)
-        differ = (closed & ~face.held) | face.pulling(forces.normal)
-        if any_rank(torn.nodes.comm, differ) or corrected.curvature < 0.0:
+        change = self._at_rows(face, corrected.change)
+        if corrected.curvature < 0.0 or not self._is_on_face(hessian, change, depth):
             return None
         return replace(corrected, change=change, solves=1 + corrected.solves)
+
+    def _at_rows(self, face: Face, change: Change) -> Change:
+        """Return a change with forces at the rows of the present face."""
+        return replace(change, forces=face.forces_of(self.face.changes_of(change.forces)))
+
+    @staticmethod
+    def _is_on_face(hessian: ContactHessian, change: Change, depth: float) -> bool:
+        """Tell whether the same conditions hold after a change, to a depth [m]. Collective."""
+        face = hessian.face
+        closed = hessian.gaps_after(change) < -depth
+        differ = (closed & ~face.held) | face.pulling(change.forces.normal)
+        return not any_rank(face.rows.conditions.boundary.nodes.comm, differ)
