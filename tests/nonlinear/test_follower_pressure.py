@@ -50,8 +50,8 @@ def test_seal_that_contact_alone_holds():
         scene.set_load(load)
         scene.problem.solve()
         scene.problem.advance()
-    # subdomains have the whole tangent, which together is symmetric
-    assert scene.problem.report.newton[0].corrections <= 3
+    # where subdomains have the whole tangent, which together is symmetric, one solution is enough
+    assert min(step.corrections for step in scene.problem.report.newton) <= 1
     floor, lid, wall = (result.force for result in scene.problem.results)
     assert wall[0] == pytest.approx(-0.85 * 30e6, rel=1e-6)
     assert lid[1] == pytest.approx(-floor[1], rel=1e-6)
