@@ -10,10 +10,13 @@ from finite_strains import (
     leaning_column,
     pressed_patch,
     pulled_strip,
+    ring,
     squeezed_block,
 )
 
 from fenics_tfeti import Coulomb, Plane, newton
+from fenics_tfeti.feti import TornSolver
+from fenics_tfeti.feti.solution.linear import LinearProblem
 
 ACCURATE = {"newton_rtol": 1e-8, "subdomain_size": 60}
 
@@ -115,3 +118,37 @@ def test_rows_that_leave_a_face_keep_the_factors(set_ups):
     scene.solve([0.5])
     again = [all(map(is_, *pair)) for pair in pairwise(set_ups)]
     assert any(again)
+
+
+def test_products_of_solutions_that_are_not_taken_count(monkeypatch):
+    """Those of set-ups of earlier steps that do not serve, and of rows that would pull."""
+    spent = []
+
+    def counted(function, products):
+        def call(*args, **more):
+            solution = function(*args, **more)
+            spent.append(products(solution))
+            return solution
+
+        return call
+
+    approximate = counted(LinearProblem.approximate, lambda solution: solution.products)
+    monkeypatch.setattr(LinearProblem, "approximate", approximate)
+    solve = counted(TornSolver.solve, lambda solution: solution.report.products["total"])
+    monkeypatch.setattr(TornSolver, "solve", solve)
+    scene = ring(0.1, 48, 3, degree=1, subdomain_size=100)
+    scene.solve([1.0])
+    assert sum(step.products for step in scene.problem.report.newton) == sum(spent)
+
+
+def test_nodes_without_an_obstacle_have_no_gap_to_compare():
+    """Nothing is computed with their infinite gaps."""
+
+    def half_a_plane(x):
+        gap, normal = Plane((0.0, 0.95), (0.0, -1.0))(x)
+        return np.where(x[0] < 0.3, gap, np.inf), normal
+
+    scene = indented_block(n=4, obstacle=half_a_plane)
+    with np.errstate(invalid="raise"):
+        scene.solve([1.0])
+    assert sum(step.corrections for step in scene.problem.report.newton) > 0
