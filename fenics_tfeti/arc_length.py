@@ -117,7 +117,14 @@ class ArcIteration(NewtonIteration):
             )
         exact = load_step.torn.tangents(face.rows.conditions)
         hessian = ContactHessian(
-            load_step, state.displacement, face, exact, used.face, used.linear, used.used
+            load_step,
+            state.displacement,
+            face,
+            exact,
+            used.face,
+            used.linear,
+            used.used,
+            self._spent,
         )
         return hessian.response(*(part / difference for part in parts))
 
