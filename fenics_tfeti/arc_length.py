@@ -97,6 +97,7 @@ class ArcIteration(NewtonIteration):
     def _rate(self, state: NewtonState, step: LinearisedStep) -> Change:
         """Return the changes with the load, per unit of it. Collective."""
         load_step, face, used = self._load_step, step.face, self.set_up
+        assert used is not None
         difference = _DIFFERENCE * (abs(self.load) or 1.0)
         before = state.rows.force(state.multipliers)
         self._arc.set_load(self.load + difference)

@@ -417,6 +417,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         texts += apart_findings(self._solved) if self._exact else []
         texts += strain_findings(strain)
         texts += unaccepted_step(self._solved, u, before)
+        texts += self._state_findings()
         # what rank 0 alone has warned of is in its list
         texts = comm.bcast([*self._warnings, *texts, *large])
         self._last_origin = self._step.origin
@@ -430,6 +431,10 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
     def _large_motions(self, strains: CellStrains) -> list[str]:
         """Return what there is to say of strains and rotations that are not small. Collective."""
+        return []
+
+    def _state_findings(self) -> list[str]:
+        """Return what there is to check about the state of a solve; the same on all ranks."""
         return []
 
     def _view(self) -> None:

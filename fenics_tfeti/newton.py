@@ -128,7 +128,8 @@ class NewtonIteration:
     """Newton steps of one load step, from a state to equilibrium."""
 
     solution: TornSolution  # of the last step
-    set_up: FrozenSetup  # of the last step that took GMRES
+    set_up: FrozenSetup | None = None  # of the last step that took GMRES
+    has_unstable_tangents = False  # in the last set-up, as far as the bodies alone say
     # along a path of equilibria tangents are those of saddles, too, and taken whole
     _follows_path = False
 
@@ -237,9 +238,12 @@ class NewtonIteration:
             return step
         on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
         if options.tangent != "projected":
-            with suppress(UnstableTangent):
+            self.has_unstable_tangents = False
+            try:
                 if (step := self._solve_on(face, state, options.tangent, monitor)) is not None:
                     return step
+            except UnstableTangent:
+                self.has_unstable_tangents = True
         if on_face:
             face = self._load_step.face_of(state)
             step = self._solve_on(face, state, "projected", monitor)

@@ -37,6 +37,7 @@ from fenics_tfeti.newton import SMALLER, Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet
 from fenics_tfeti.report import ContactReport
+from fenics_tfeti.stability import instability
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
@@ -149,6 +150,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             compiler=_compat.CompilerOptions(form_compiler_options, jit_options),
             displacement=u,
         )
+        self._instability: list[str] = []
         self._gradients = CellGradients(self.space)
         ratios = list(compressibility(self._torn.torn.subdomains).values())
         largest = largest_of_ranks(self.space.mesh.comm, ratios) or 1.0
@@ -297,6 +299,9 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._report = replace(self.report, mesh_error=estimate.entry)
         return estimate
 
+    def _state_findings(self) -> list[str]:
+        return self._instability
+
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(self.u)
 
@@ -332,7 +337,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         monitor: Monitor | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> None:
-        self._is_solved = False
+        self._is_solved, self._instability = False, []
         self._refresh()
         if coarse is not None:
             self._start_from(coarse)
@@ -376,6 +381,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             self._solver = iteration.solver
         assert state is not None
         self._store_state(state, iteration)
+        if iteration.has_unstable_tangents and (set_up := iteration.set_up) is not None:
+            self._instability = instability(load_step, state, set_up)
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
