@@ -123,8 +123,19 @@ class ContactHessian:
         force = load_step.torn.sum_at_nodes(self.exact, parts) + pressed + turned
         gap = _difference(self._gap, face.distances_of(rows)) / eps
         tied_gap = _difference(self._tied_gap, rows.tied.gap / rows.tied.length) / eps
+        tied_gap += self._shortened(change)
         force = load_step.at_free(force, face.rows)
         return self._flat(force, gap, tied_gap, beyond + turned_beyond + lacking)
+
+    def _shortened(self, change: Change) -> Vector:
+        """Return the jumps of tied rows [m] by bolts that shorten, which no state has. Collective.
+
+        A step has all of the shortening as its unknown.
+        """
+        nodes, tied = self.load_step.torn.nodes, self.face.rows.tied
+        bolts = self.face.rows.conditions.bolt_displacements(change.displacements)
+        still = np.zeros(nodes.owned * nodes.components)
+        return row_values(nodes, tied, still, bolts) / tied.length
 
     def _moved(self, motions: Sequence[Vector]) -> RigidBodies:
         """Return the bodies with other motions, and rotations as they are."""
@@ -188,8 +199,10 @@ class ContactHessian:
         balances.
         """
         right = self._flat(balance[0], self._gap, self._tied_gap, balance[1])
-        # what bodies carry is mostly balanced by their loads and supports
-        at_nodes = self._flat(balance[0], self._gap, self._tied_gap, np.zeros_like(balance[1]))
+        # what bodies carry is mostly balanced by their loads and supports, and jumps at bolts by
+        # their shortening
+        jumps = self._tied_gap - self._shortened(first)
+        at_nodes = self._flat(balance[0], self._gap, jumps, np.zeros_like(balance[1]))
         size = self._space.norm(at_nodes)
         begin = self.face.rows.conditions.bodies.motions
         return self._improved(first, right, balance[1], begin, (rtol, size, negligible))

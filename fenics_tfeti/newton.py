@@ -178,6 +178,8 @@ class NewtonIteration:
         step = self._solve_linearised(state, monitor)
         corrected = step.corrected
         change = corrected.change
+        # it has the shortenings of bolts, which no state has
+        self.solution = replace(self.solution, displacements=list(change.displacements))
         bodies, start = state.bodies, state.bodies.motions
         motions = state.rows.conditions.motions_after(change.displacements)
         turned = [end - begin for begin, end in zip(start, motions, strict=True)]

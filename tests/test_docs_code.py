@@ -159,6 +159,7 @@ ALONE = [
     "nonlinear",
     "rigid_bodies",
     "rubber",
+    "self_contact",
     "sensitivities",
 ]
 

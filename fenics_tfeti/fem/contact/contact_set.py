@@ -293,6 +293,19 @@ class ContactSet:
         self.boundary.nodes.comm.Allreduce(MPI.IN_PLACE, values)
         return {tie.number: float(x) for (tie, _), x in zip(preloads, values, strict=True)}
 
+    def bolt_displacements(self, displacements: Sequence[Vector]) -> Vector:
+        """Return those (b, gdim) of the nodes of bolts, which are beyond the mesh. Collective."""
+        nodes, own = self.boundary.nodes, self._preloads[self._own_preloads]
+        last = max((tie.number for tie, _ in self._preloads), default=-1)
+        values = np.zeros((last + 1, nodes.components))
+        for (_, preload), u in zip(
+            own, displacements[len(displacements) - len(own) :], strict=True
+        ):
+            assert preload.body is not None
+            values[preload.body.nodes - nodes.total] = u.reshape(-1, nodes.components)
+        nodes.comm.Allreduce(MPI.IN_PLACE, values)
+        return values
+
     def motions_after(self, displacements: Sequence[Vector]) -> list[Vector]:
         """Return the motions of all rigid bodies after displacements of subdomains. Collective."""
         bolts = len(self._preloads[self._own_preloads])
