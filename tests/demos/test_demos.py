@@ -374,6 +374,14 @@ def test_crushed_ring(demo):
 
 
 @pytest.mark.once
+@also_short("2")
+def test_folded_strip(demo):
+    """Both folds close, nothing comes in, and the plate has the same forces on its way back."""
+    assert demo["pressing"] >= 20 and demo["depth"] < 1e-6 * demo["gap"]
+    assert demo["returned"] < 1e-5 and demo["loading"].max() < demo["forces"][demo["way"][-1]][0]
+
+
+@pytest.mark.once
 @also_short("0.3")
 def test_snap_fit(demo):
     """The balance of energy; the force changes its sign behind the bump, and ends with zero."""
