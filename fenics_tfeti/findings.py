@@ -6,7 +6,7 @@ warnings are findings, too (`fenics_tfeti.errors.keep_warnings`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -66,6 +66,15 @@ def apart_findings(solved: SolvedContacts) -> list[str]:
         f"{parts[0].pairing.name!r} has not met anything: its surfaces are nowhere opposite each "
         "other"
         for parts in apart
+    ]
+
+
+def self_findings(depths: Mapping[str, float], length: str) -> list[str]:
+    """Say how deep surfaces are in themselves where they have no conditions, by their keys."""
+    return [
+        f"{key}: the surface is inside itself by up to {depth:.2g} {length}, at a turn or end where "
+        "facets would be slave and master at once: refine the mesh there"
+        for key, depth in depths.items()
     ]
 
 

@@ -37,6 +37,7 @@ from fenics_tfeti.feti import Timer, TornSolution, TornSolver
 from fenics_tfeti.findings import (
     apart_findings,
     contact_findings,
+    self_findings,
     strain_findings,
     unaccepted_step,
 )
@@ -415,6 +416,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         large = self._large_motions(strains)
         texts += contact_findings(self._solved, bodies, self.report.units.length)
         texts += apart_findings(self._solved) if self._exact else []
+        texts += self_findings(self._torn.left_inside(self.u), self.report.units.length)
         texts += strain_findings(strain)
         texts += unaccepted_step(self._solved, u, before)
         texts += self._state_findings()

@@ -142,6 +142,10 @@ class TornProblem:
         """Tell whether a surface has come near itself where it has no conditions. Collective."""
         return self._search.lacks_contact(uh)
 
+    def left_inside(self, uh: Function) -> dict[str, float]:
+        """Return how deep surfaces are in themselves where no patch can be, by key. Collective."""
+        return self._search.left_inside(uh)
+
     def found_anew(
         self, contacts: Sequence[Contact | Tie], kept: Mapping[int, TiedPairing] | None = None
     ) -> ContactSet:

@@ -18,6 +18,7 @@ from fenics_tfeti import (
     SelfContact,
     find_contacts,
 )
+from fenics_tfeti.fem.contact.search.patches_of_itself import Patches
 from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import displacement_space, tag_facets
@@ -91,6 +92,17 @@ def test_walls_that_have_come_in_face_each_other():
     down.interpolate(lambda x: np.vstack([0 * x[0], -0.046 * np.clip(x[1] / 0.11, 0, 1)]))
     there = found.at(down)
     assert len(there.patches.slave) == 1 and there.patches.slave.sum() >= 24
+
+
+def test_pairs_that_contradict_the_roles_of_nodes():
+    """Facets 0 and 1 have a common node, 2 and 3 as well; 0 is slave of 2."""
+    slave, master = np.zeros((2, 1, 4), dtype=bool)
+    slave[0, 0] = master[0, 2] = True
+    patches = Patches(slave, master)
+    nodes = np.array([[0, 1], [1, 2], [3, 4], [4, 5]])
+    pairs = np.array([[0, 1], [0, 2], [1, 3], [2, 3]])
+    np.testing.assert_array_equal(patches.has(pairs), [False, True, False, False])
+    np.testing.assert_array_equal(patches.cannot_have(pairs, nodes), [True, False, False, True])
 
 
 def test_the_same_objects_while_nothing_changes():

@@ -196,6 +196,11 @@ class ContactSearch:
         """Tell whether a surface has come near itself where it has no patch. Collective."""
         return any(known.lacks_contact(displacement) for known in self._patches.values())
 
+    def left_inside(self, displacement: Function) -> dict[str, float]:
+        """Return how deep surfaces are in themselves where no patch can be, by key. Collective."""
+        depths = {key: known.left_inside(displacement) for key, known in self._patches.items()}
+        return {key: depth for key, depth in depths.items() if depth > 0.0}
+
     def _roles_of(self, contact: Contact, key: str) -> list[Roles]:
         """Return the roles of a contact, or of its patches. Collective."""
         if isinstance(contact, SelfContact):

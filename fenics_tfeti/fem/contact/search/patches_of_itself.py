@@ -52,14 +52,16 @@ class Patches:
         return found
 
     def cannot_have(self, pairs: Numbers, nodes: Numbers) -> Mask:
-        """Tell of which pairs (p, 2) of facets with nodes (f, v) a facet has nodes of both roles.
+        """Tell which pairs (p, 2) of facets with nodes (f, v) contradict the roles of nodes.
 
-        A facet that is slave and master in turn has no role of its own.
+        No facet of the two can be the slave of the other one.
         """
         of_nodes = np.zeros((int(nodes.max(initial=-1)) + 1, 2), dtype=bool)
         for column, side in enumerate((self.slave, self.master)):
             of_nodes[nodes[side.any(axis=0)], column] = True
-        return of_nodes[nodes[pairs]].any(axis=2).all(axis=2).any(axis=1)
+        first, second = np.moveaxis(of_nodes[nodes[pairs]].any(axis=2), 1, 0)
+        # the one is of no master, the other of no slave
+        return (first[:, 1] | second[:, 0]) & (first[:, 0] | second[:, 1])
 
 
 def find_patches(

@@ -46,6 +46,8 @@ _RINGS = 2
 _ON_EDGE = 1e-9
 # depth behind a facet, relative to its size, up to which another one touches it
 _TOUCHES = 1e-3
+# depth of facets in no patch, relative to the smallest, that is told
+_VISIBLE = 0.05
 # facets behind a wall that have come in are farther along the surface than this many thicknesses
 _AROUND = 4.0
 
@@ -300,6 +302,15 @@ class SelfPatches:
         """Tell whether facets in no patch have come as near as they are large. Collective."""
         x = self.surface.places(displacement)
         return self._lacks(x, np.minimum(self.reach, self.surface.size))
+
+    def left_inside(self, displacement: Function) -> float:
+        """Return how deep facets in no patch are in others [m]; 0 outside. Collective.
+
+        They are those at turns and ends that contradict the roles of nearer ones.
+        """
+        near = self.surface.facing(self.surface.places(displacement), self.reach, self.patches)
+        depth = -near.gap[~self.patches.has(near.pairs)].min(initial=0.0)
+        return depth if depth > _VISIBLE * self.surface.size.min() else 0.0
 
     def _lacks(self, x: Vector, reach: Vector) -> bool:
         near = self.surface.facing(x, reach, self.patches)
