@@ -72,8 +72,8 @@ def apart_findings(solved: SolvedContacts) -> list[str]:
 def self_findings(depths: Mapping[str, float], length: str) -> list[str]:
     """Say how deep surfaces are in themselves where they have no conditions, by their keys."""
     return [
-        f"{key}: the surface is inside itself by up to {depth:.2g} {length}, at a turn or end where "
-        "facets would be slave and master at once: refine the mesh there"
+        f"{key}: the surface is inside itself by up to {depth:.2g} {length}, at a turn or end "
+        "where facets would be slave and master at once: refine the mesh there"
         for key, depth in depths.items()
     ]
 
