@@ -10,7 +10,14 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities, meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Plane, RigidObstacle
+from fenics_tfeti import (
+    ContactPair,
+    ContactProblem,
+    Coulomb,
+    Plane,
+    RigidObstacle,
+    SelfContact,
+)
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.pairing import contact_rows, row_values
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -30,11 +37,11 @@ CRACK, LOW, UP, TOP, FLOOR, PRESSURE = 9, 11, 12, 3, 4, 40.0
 N = 4  # cells along an edge of the block; the crack is half as wide
 
 
-def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
-    """Return the space, the contact and the tags of a block with a crack in its middle."""
+def cracked_block(gdim, comm=MPI.COMM_WORLD, divisions=2 * N, half=0.5):
+    """Return the mesh of a block with a crack of half a length in its middle, and its tags."""
     cell = {2: "quadrilateral", 3: "hexahedron"}[gdim]
     ends = (-1.0,) * gdim, (1.0,) * gdim
-    mesh = boxes(comm, [Box(*ends, (2 * N,) * gdim)], cell).mesh
+    mesh = boxes(comm, [Box(*ends, (divisions,) * gdim)], cell).mesh
     mesh.topology.create_connectivity(gdim - 1, gdim)
     count = mesh.topology.index_map(gdim)
     cells = np.arange(count.size_local + count.num_ghosts, dtype=np.int32)
@@ -42,7 +49,9 @@ def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
         locate_entities(
             mesh,
             gdim - 1,
-            lambda x: np.isclose(x[gdim - 1], 0) & (np.abs(x[: gdim - 1]) < 0.51).all(axis=0),
+            lambda x: (
+                np.isclose(x[gdim - 1], 0) & (np.abs(x[: gdim - 1]) < 1.02 * half).all(axis=0)
+            ),
         )
     )
     whole = TaggedMesh(
@@ -51,7 +60,12 @@ def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
         meshtags(mesh, gdim - 1, on_crack, np.full_like(on_crack, CRACK)),
         {},
     )
-    parts = split_interfaces(whole, [Interface(1, 1, slave_tag=LOW, master_tag=UP, facets=CRACK)])
+    return split_interfaces(whole, [Interface(1, 1, slave_tag=LOW, master_tag=UP, facets=CRACK)])
+
+
+def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
+    """Return the space and the contact of a block with a crack in its middle."""
+    parts = cracked_block(gdim, comm)
     V = displacement_space(parts.mesh, degree=degree)
     pair = ContactPair(
         parts.facet_tags, LOW, UP, partial=True, partners=partners, name="crack", **arguments
@@ -115,6 +129,47 @@ def test_a_displacement_that_closes_an_open_crack_fulfils_the_conditions(degree,
     assert (rows.gap > 0.0).all()
     moved = row_values(boundary.nodes, rows, owned_values(closing))
     np.testing.assert_allclose(moved, rows.gap, rtol=1e-12)
+
+
+def mean_slip(divisions, a, material, mu, pressed, sheared):
+    """Mean slip of a closed crack of half a length a, without tags, in a plate under stresses."""
+    mesh = cracked_block(2, MPI.COMM_SELF, divisions, a).mesh
+    V, n = displacement_space(mesh), ufl.FacetNormal(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    stress = fem.Constant(mesh, np.array([[0.0, sheared], [sheared, -pressed]]))
+    outside = tag_facets(mesh, {TOP: lambda x: np.isclose(np.abs(x[:2]).max(axis=0), 1.0)})
+    ds = ufl.Measure("ds", domain=mesh, subdomain_data=outside)
+    corner = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[0] + x[1], -2.0))
+    beside = fem.locate_dofs_geometrical(
+        (V.sub(1), V.sub(1).collapse()[0]), lambda x: np.isclose(x[0] - x[1], 2.0)
+    )
+    zero = fem.Function(V.sub(1).collapse()[0])
+    problem = ContactProblem(
+        ufl.inner(isotropic(*material)(u), small_strain(v)) * ufl.dx,
+        ufl.inner(stress * n, v) * ds(TOP),
+        bcs=[fem.dirichletbc(np.zeros(2), corner, V), fem.dirichletbc(zero, beside, V.sub(1))],
+        contacts=SelfContact(distance=0.5 / divisions, friction=Coulomb(mu), name="crack"),
+        options={"rtol": 1e-9},
+    )
+    problem.solve()
+    crack = problem.results["crack"]
+    assert crack.active.all() and not crack.friction.sticking.any()
+    order = np.argsort(crack.coordinates[:, 0])
+    slip = np.pad(np.abs(crack.friction.slip[order, 0]), 1)
+    x = np.concatenate([[-a], crack.coordinates[order, 0], [a]])
+    return np.sum(np.diff(x) * (slip[1:] + slip[:-1]) / 2) / (2 * a)
+
+
+def test_closed_crack_that_slips():
+    """K_I = 0, K_II = (tau - mu sigma) sqrt(pi a): mean slip pi a (tau - mu sigma) (1 - nu^2) / E.
+
+    With the square root at its tips the error of a uniform mesh is that of its cells' size.
+    """
+    a, E, nu, mu, pressed, sheared = 0.125, 1e4, 0.3, 0.3, 50.0, 40.0
+    exact = np.pi * a * (sheared - mu * pressed) * (1 - nu**2) / E
+    coarse, fine = (mean_slip(n, a, (E, nu), mu, pressed, sheared) / exact for n in (64, 128))
+    assert 1.9 < (1 - coarse) / (1 - fine) < 2.3
+    assert 2 * fine - coarse == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.ranks
