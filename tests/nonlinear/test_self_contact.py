@@ -158,3 +158,40 @@ def test_two_folds_at_once():
     expected, tagged = folded_sheets(by_hand)
     assert all(result.active.any() for result in tagged.results)
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def one_fold(gdim):
+    """Forces, per depth, of a plane and of two sheets that it closes."""
+    thick, gap, leg, depth = 0.08, 0.03, 0.6, 0.1
+    curve, length = serpentine(leg, thick + gap, 2)
+    ends = (0, -thick / 2, 0)[:gdim], (length, thick / 2, depth)[:gdim]
+    cell = {2: "quadrilateral", 3: "hexahedron"}[gdim]
+    mesh = boxes(MPI.COMM_SELF, [Box(*ends, (28, 2, 1)[:gdim])], cell).mesh
+    outside = {
+        1: lambda x: np.isclose(x[1], -thick / 2) & (x[0] < leg + 1e-9),
+        2: lambda x: np.isclose(x[1], -thick / 2) & (x[0] > length - leg - 1e-9),
+    }
+    tags = tag_facets(mesh, outside)
+    sides = {3: lambda x: np.isclose(x[2], 0) | np.isclose(x[2], depth)} if gdim == 3 else {}
+    lateral = tag_facets(mesh, sides) if sides else None
+    s, y = mesh.geometry.x[:, :2].T.copy()
+    x0, y0, angle = curve(s)
+    mesh.geometry.x[:, 0] = x0 - y * np.sin(angle)
+    mesh.geometry.x[:, 1] = y0 + y * np.cos(angle)
+    V = displacement_space(mesh)
+    u, down, top = Function(V), [0.0], thick + gap + thick / 2
+    point, normal = (lambda: (0, top - down[0], 0)[:gdim]), (0, -1, 0)[:gdim]
+    plane = RigidObstacle(tags, 2, lambda x: Plane(point(), normal)(x))
+    bcs = [symmetry_plane(V, tags, 1, axis) for axis in (0, 1)]
+    bcs += [symmetry_plane(V, lateral, 3, 2)] if sides else []
+    F = ufl.derivative(neo_hookean(1e3, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V))
+    problem = NonlinearContactProblem(F, u, bcs=bcs, contacts=[plane, SelfContact()])
+    for down[0] in (0.8 * gap, 1.3 * gap):
+        problem.solve()
+        problem.advance()
+    return np.array([r.force[1] for r in problem.results]) / (depth if gdim == 3 else 1.0)
+
+
+def test_fold_of_a_sheet_in_space():
+    """As in plane strain, but for the quadrature of the energy."""
+    np.testing.assert_allclose(one_fold(3), one_fold(2), rtol=1e-5)
