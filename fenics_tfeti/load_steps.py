@@ -24,6 +24,7 @@ from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displaceme
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.descriptions.contacts import SelfContact
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
 from fenics_tfeti.fem.contact.solution.apart import wrong_side
@@ -319,6 +320,12 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             )
         if coarse._solved is None:
             raise InputError("the coarse problem is not solved; call its solve() first")
+        for contact in self.contacts:
+            if isinstance(contact, SelfContact):
+                raise InputError(
+                    "coarse: contact of a surface with itself is not taken over from another mesh, "
+                    "whose facets meet elsewhere; leave coarse out"
+                )
 
     def _solved_on(self, coarse: Any) -> list[SolvedContact]:
         """Return the contact of a problem on another mesh. Collective."""

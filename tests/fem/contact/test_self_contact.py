@@ -176,6 +176,13 @@ def test_lips_of_a_slit_are_those_of_two_tags(slit, contacts):
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
 
 
+def test_contact_of_another_mesh(slit):
+    _, coarse = pressed(slit, SelfContact(distance=0.04, name="lips"))
+    _, problem = pressed(slit, SelfContact(distance=0.04, name="lips"))
+    with pytest.raises(InputError, match="not taken over from another mesh"):
+        problem.solve(coarse=coarse)
+
+
 def test_nothing_to_meet_is_told(slit):
     with pytest.warns(UserWarning, match="lips: no part of the surface faces another one"):
         pressed(slit, SelfContact(slit[1], 3, name="lips"))
