@@ -46,8 +46,11 @@ def half_ring(cells):
     return mesh, tags
 
 
-def crushed(contact, loads=(0.35, 0.7, 0.955), cells=20):
-    """Forces (loads, 2) of a die and between the walls of a ring that two round dies crush."""
+def crushed(contact, loads=(0.35, 0.7, 0.955), cells=20, restored=None):
+    """Forces (loads, 2) of a die and between the walls of a ring that two round dies crush.
+
+    It may go on from a file.
+    """
     mesh, tags = half_ring(cells)
     V = displacement_space(mesh)
     u, closed, die = Function(V), [0.0], 0.4 * RADIUS
@@ -65,6 +68,8 @@ def crushed(contact, loads=(0.35, 0.7, 0.955), cells=20):
         contacts=[*dies, contact(tags)],
         options={"newton_rtol": 1e-9},
     )
+    if restored is not None:
+        problem.restore(restored)
     forces = []
     for closed[0] in loads:
         problem.solve()
@@ -195,3 +200,18 @@ def one_fold(gdim):
 def test_fold_of_a_sheet_in_space():
     """As in plane strain, but for the quadrature of the energy."""
     np.testing.assert_allclose(one_fold(3), one_fold(2), rtol=1e-5)
+
+
+def test_checkpoint_with_patches(tmp_path):
+    """A run that goes on from a file has the forces, and the patches, of one that did not end."""
+    friction = Coulomb(0.3)
+    loads = (0.35, 0.7, 0.955, 0.96)
+    expected, whole = crushed(lambda tags: SelfContact(friction=friction), loads)
+    _, first = crushed(lambda tags: SelfContact(friction=friction), loads[:3])
+    first.save(tmp_path / "step.npz")
+    found, again = crushed(
+        lambda tags: SelfContact(friction=friction), loads[3:], restored=tmp_path / "step.npz"
+    )
+    np.testing.assert_allclose(found[-1], expected[-1], rtol=1e-6)
+    pressing = [problem.results[2].active.sum() for problem in (whole, again)]
+    assert pressing[0] == pressing[1] > 0
