@@ -73,7 +73,7 @@ class Constraints:
         """
         return self.coupling.dependent
 
-    @property
+    @cached_property
     def equality(self) -> NDArray[np.bool_]:
         """Mask of the equality rows."""
         mask = np.ones(self.size, dtype=bool)
