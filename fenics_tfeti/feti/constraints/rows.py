@@ -78,6 +78,7 @@ class Constraints:
         """Mask of the equality rows."""
         mask = np.ones(self.size, dtype=bool)
         mask[self.rows.where(Kind.CONTACT, Kind.TANGENT)] = False
+        mask.flags.writeable = False
         return mask
 
     def lengths_of_rows(self) -> Vector:
