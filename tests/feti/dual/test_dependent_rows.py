@@ -8,6 +8,7 @@ import scipy.sparse as sp
 from scipy.optimize import nnls
 
 from fenics_tfeti.feti.constraints.coupling import Coupling
+from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.dual.dependent_rows import _CoupledRows
 
 pytestmark = pytest.mark.once
@@ -23,8 +24,7 @@ def remaining(B, chosen, force, gap, sites=None, size=None, radius=None):
         every,
         sp.csr_matrix(B @ B.T),
         sp.csr_matrix((k, 0)),
-        none,
-        sites >= 0,
+        np.where(sites >= 0, Kind.TANGENT, Kind.CONTACT),
         np.zeros(k),
         every,
         every,
