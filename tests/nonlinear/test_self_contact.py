@@ -149,6 +149,7 @@ def folded_sheets(contacts):
     return u.x.array.copy(), problem
 
 
+@pytest.mark.heavy
 def test_two_folds_at_once():
     """As with the facets of the patches tagged by hand."""
     found, problem = folded_sheets(lambda mesh: [SelfContact(tags_of_boundary(mesh), 1)])
@@ -202,6 +203,7 @@ def test_fold_of_a_sheet_in_space():
     np.testing.assert_allclose(one_fold(3), one_fold(2), rtol=1e-5)
 
 
+@pytest.mark.heavy
 def test_checkpoint_with_patches(tmp_path):
     """A run that goes on from a file has the forces, and the patches, of one that did not end."""
     friction = Coulomb(0.3)
