@@ -63,7 +63,7 @@ class Face:
 
         By default no site sticks, and sites that slip have no force. None of the forces turns.
         """
-        friction, rows = constraints.friction, constraints.equality.copy()
+        friction, rows = constraints.friction, constraints.equality
         if sticking is not None:
             rows = rows | friction.on_rows(sticking, constraints.size)
         rows[constraints.inequality] = active

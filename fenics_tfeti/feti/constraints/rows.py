@@ -73,13 +73,17 @@ class Constraints:
         """
         return self.coupling.dependent
 
-    @cached_property
+    @property
     def equality(self) -> NDArray[np.bool_]:
         """Mask of the equality rows."""
         mask = np.ones(self.size, dtype=bool)
-        mask[self.rows.where(Kind.CONTACT, Kind.TANGENT)] = False
-        mask.flags.writeable = False
+        mask[self._bounded] = False
         return mask
+
+    @cached_property
+    def _bounded(self) -> Numbers:
+        """Local positions of the rows that are no equalities."""
+        return self.rows.where(Kind.CONTACT, Kind.TANGENT)
 
     def lengths_of_rows(self) -> Vector:
         """Return the Euclidean norms (m,) of the rows of B over all ranks. Collective at first."""
