@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from fenics_tfeti.contact_hessian import ContactHessian
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.displacement import prescribed_values
 from fenics_tfeti.fem.newton.equilibrium import Multipliers
@@ -116,17 +115,7 @@ class ArcIteration(NewtonIteration):
                 f"follow: nothing changes with the load at {self.load:g}: set_load has to change "
                 "values of the forms, as those of a Constant, or obstacles"
             )
-        exact = load_step.torn.tangents(face.rows.conditions)
-        hessian = ContactHessian(
-            load_step,
-            state.displacement,
-            face,
-            exact,
-            used.face,
-            used.linear,
-            used.used,
-            self._spent,
-        )
+        hessian = used.hessian(load_step, state, face, self._spent)
         return hessian.response(*(part / difference for part in parts))
 
     def _check_supports(self) -> None:

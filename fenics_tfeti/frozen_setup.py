@@ -36,6 +36,14 @@ class FrozenSetup:
         is_other = is_other or bool((face.friction.bound > 0.0).any())
         return not any_rank(load_step.torn.nodes.comm, [is_other])
 
+    def hessian(
+        self, load_step: LoadStep, state: NewtonState, face: Face, spent: Spent
+    ) -> ContactHessian:
+        """Return the derivative on the face of a state, with this set-up as M. Collective."""
+        exact = load_step.torn.tangents(face.rows.conditions)
+        base = self.face, self.linear, self.used
+        return ContactHessian(load_step, state.displacement, face, exact, *base, spent)
+
     def corrected(
         self,
         load_step: LoadStep,
@@ -50,12 +58,9 @@ class FrozenSetup:
         negligible forces [N]. None where other conditions would hold after the step, or where the
         energy has a maximum along what GMRES adds, as at equilibria that are not stable.
         """
-        torn, (first_rtol, rtol, negligible) = load_step.torn, accuracy
+        first_rtol, rtol, negligible = accuracy
         balance = load_step.out_of_balance(state, face)
-        exact = torn.tangents(face.rows.conditions)
-        hessian = ContactHessian(
-            load_step, state.displacement, face, exact, self.face, self.linear, self.used, spent
-        )
+        hessian = self.hessian(load_step, state, face, spent)
         # gaps of the size of rounding of coordinates are closed
         depth = load_step.negligible_length(state)
         first = hessian.first(balance, first_rtol)

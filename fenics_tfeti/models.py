@@ -133,13 +133,11 @@ def neo_hookean(E: Any, nu: Any) -> Callable[[Any], Any]:
     >>> energy = neo_hookean(1e6, 0.45)
     >>> F = ufl.derivative(energy(u) * ufl.dx, u, v)  # doctest: +SKIP
     """
-    mu, lmbda = _lame(E, nu)
+    density = _neo_hookean(E, nu)
 
     def energy(u: Any) -> Any:
-        dim = u.ufl_shape[0]
-        F = ufl.Identity(dim) + ufl.grad(u)
-        log = ufl.ln(ufl.det(F))
-        return mu / 2 * (ufl.inner(F, F) - dim) - mu * log + lmbda / 2 * log**2
+        F = _deformation(u)
+        return density(ufl.inner(F, F) - u.ufl_shape[0], ufl.ln(ufl.det(F)))
 
     return energy
 
@@ -158,13 +156,18 @@ def neo_hookean_of_strain(E: Any, nu: Any) -> Callable[[Any], Any]:
         Of the right Cauchy-Green tensor, 2 x 2 in plane strain, the energy per undeformed volume
         [J/m^3], as `EnergyMomentumStep` takes it.
     """
-    mu, lmbda = _lame(E, nu)
+    density = _neo_hookean(E, nu)
 
     def energy(C: Any) -> Any:
-        log = ufl.ln(ufl.det(C)) / 2
-        return mu / 2 * (ufl.tr(C) - C.ufl_shape[0]) - mu * log + lmbda / 2 * log**2
+        return density(ufl.tr(C) - C.ufl_shape[0], ufl.ln(ufl.det(C)) / 2)
 
     return energy
+
+
+def _neo_hookean(E: Any, nu: Any) -> Callable[[Any, Any], Any]:
+    """Return the energy density of `neo_hookean` as a function of tr C - dim and ln J."""
+    mu, lmbda = _lame(E, nu)
+    return lambda stretch, log: mu / 2 * stretch - mu * log + lmbda / 2 * log**2
 
 
 def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
@@ -185,8 +188,7 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
     mu, lmbda = _lame(E, nu)
 
     def stress(u: Any) -> Any:
-        dim = u.ufl_shape[0]
-        F = ufl.Identity(dim) + ufl.grad(u)
+        dim, F = u.ufl_shape[0], _deformation(u)
         left, J = F * F.T, ufl.det(F)
         left = with_third_direction(left, 1) if dim == 2 else left
         identity = ufl.Identity(3)
@@ -248,7 +250,7 @@ def follower_pressure(
     space = u.function_space
     x, N = ufl.SpatialCoordinate(space.mesh), ufl.FacetNormal(space.mesh)
     weight = ufl.replace(as_ufl_weight(space.mesh, measure_weight), {x: x + u})
-    area = _cofactors(ufl.Identity(u.ufl_shape[0]) + ufl.grad(u)) * N
+    area = _cofactors(_deformation(u)) * N
     return p * weight * ufl.inner(area, ufl.TestFunction(space)) * measure
 
 

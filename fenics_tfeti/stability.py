@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fenics_tfeti.contact_hessian import ContactHessian, Spent
+from fenics_tfeti.contact_hessian import Spent
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
 from fenics_tfeti.frozen_setup import FrozenSetup
@@ -28,10 +28,7 @@ def instability(load_step: LoadStep, state: NewtonState, set_up: FrozenSetup) ->
     face, torn = load_step.face_of(state), load_step.torn
     if not set_up.serves(load_step, face):
         return []
-    exact = torn.tangents(face.rows.conditions)
-    hessian = ContactHessian(
-        load_step, state.displacement, face, exact, set_up.face, set_up.linear, set_up.used, Spent()
-    )
+    hessian = set_up.hessian(load_step, state, face, Spent())
     nodes = torn.nodes
     no_gap, no_tied = np.zeros(face.contacts.size), np.zeros(face.rows.tied.size)
     beyond = np.zeros_like(face.rows.force(face.multipliers)[1])

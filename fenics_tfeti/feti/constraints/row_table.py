@@ -15,7 +15,7 @@ from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
 class Kind(IntEnum):
-    """What a row of B is of."""
+    """The kind of a row of B."""
 
     TIED = 0
     HELD = 1  # a contact row that holds with equality

@@ -16,6 +16,7 @@ from scipy.sparse.csgraph import breadth_first_order, connected_components, mini
 from fenics_tfeti.fem.contact.mortar.facets import facet_normals
 from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.patches import LEAST_COSINE
+from fenics_tfeti.fem.topology import connected_labels
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # roles of facets and nodes
@@ -157,8 +158,8 @@ def _connected(pairs: Numbers, nodes: Numbers) -> Numbers:
     keys = first[:, :, None] * (int(nodes.max()) + 1) + second[:, None, :]
     distinct, key = np.unique(keys.reshape(len(pairs), -1), return_inverse=True)
     row, size = np.repeat(np.arange(len(pairs)), keys[0].size), len(pairs) + distinct.size
-    graph = sp.csr_matrix((np.ones(row.size), (row, len(pairs) + key.ravel())), shape=(size, size))
-    label = connected_components(graph, directed=False)[1][: len(pairs)]
+    links = np.column_stack([row, len(pairs) + key.ravel()])
+    label = connected_labels(links, size)[: len(pairs)]
     # by the nearest of their pairs
     _, place, patch = np.unique(label, return_index=True, return_inverse=True)
     number = np.empty(place.size, dtype=np.int64)
@@ -200,8 +201,9 @@ def _merged(patches: Patches, nodes: Numbers) -> Patches:
     sides = (patches.slave, patches.master)
     at_nodes = [sp.csr_matrix(side.astype(float)) @ incidence for side in sides]
     common = [(side @ side.T) > 0.0 for side in at_nodes]
-    count, group = connected_components(common[0].multiply(common[1]), directed=False)
-    joined = np.zeros((2, count, len(nodes)), dtype=bool)
+    links = np.column_stack(common[0].multiply(common[1]).nonzero())
+    group = connected_labels(links, len(patches.slave))
+    joined = np.zeros((2, int(group.max(initial=-1)) + 1, len(nodes)), dtype=bool)
     for side, whole in zip(sides, joined, strict=True):
         np.logical_or.at(whole, group, side)
     slave, master = joined

@@ -33,7 +33,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.topology import batches, cell_type, distinct_rows
-from fenics_tfeti.parallel import any_rank, concatenate_ranks
+from fenics_tfeti.parallel import any_rank, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 # by default: how far facets are looked for in front and behind, in longest facets
@@ -88,7 +88,6 @@ class WholeSurface:
         numbers = concatenate_ranks(comm, boundary.nodes.to_global(local))
         x = concatenate_ranks(comm, boundary.coordinates[local, :gdim])
         order = coordinate_order(x.mean(axis=1))
-        rank = np.repeat(np.arange(comm.size), comm.allgather(len(local)))
         row = np.empty(order.size, dtype=np.int64)
         row[order] = np.arange(order.size)
         _, first, inverse = np.unique(numbers, return_index=True, return_inverse=True)
@@ -98,7 +97,8 @@ class WholeSurface:
         row_of[by_place], first = np.arange(first.size), first[by_place]
         nodes = row_of[inverse].reshape(numbers.shape)[order]
         points = x.reshape(-1, gdim)[first]
-        own = row[rank == comm.rank]
+        begin = first_of_rank(comm, len(local))[0]
+        own = row[begin : begin + len(local)]
         unknown = np.full(len(nodes), np.inf)
         surface = WholeSurface(boundary, facets, local, own, nodes, points, first, unknown)
         return replace(surface, thickness=surface._thickness())
