@@ -32,7 +32,7 @@ from dolfinx import fem
 from fenics_tfeti import Coulomb, NonlinearContactProblem, NotConverged, Plane
 from fenics_tfeti.io import Box
 from fenics_tfeti.models import neo_hookean
-from fenics_tfeti.newton import NewtonStep
+from fenics_tfeti.newton.iteration import NewtonStep
 
 DEGREE = {"quadrature_degree": 3}
 

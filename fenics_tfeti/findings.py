@@ -6,7 +6,7 @@ warnings are findings, too (`fenics_tfeti.errors.keep_warnings`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -16,13 +16,14 @@ from fenics_tfeti.errors import InputError, first_few
 from fenics_tfeti.fem.contact.contact_set import FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.solution.apart import contacts_apart
+from fenics_tfeti.fem.contact.solution.results import RigidBodyResult
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
-from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
+from fenics_tfeti.fem.gradients import LARGE_GRADIENT
 from fenics_tfeti.fem.nodes import ContactNodes
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
-from fenics_tfeti.parallel import any_rank, largest_of_ranks
+from fenics_tfeti.parallel import any_rank, largest_of_groups, largest_of_ranks
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 # contacts that a sentence names
@@ -245,7 +246,7 @@ class _Contacts:
 
     def _extremes(self, values: Vector, number: Numbers, least: float) -> Vector:
         """Return the largest value of each contact, and no less. Collective."""
-        return extremes(self._comm, values, number, max(self._names) + 1, least)
+        return largest_of_groups(self._comm, values, number, max(self._names) + 1, least)
 
 
 @dataclass(frozen=True)
@@ -311,3 +312,14 @@ def _has_drawn_gap(found: FoundContact) -> bool:
     """Tell whether the gap is that of the meshes of two deformable bodies."""
     contact = found.contact
     return isinstance(contact, ContactPair) and contact.initial_gap == "geometric"
+
+
+def large_rotations(bodies: Iterable[RigidBodyResult]) -> list[str]:
+    """Name rigid bodies whose rotation is not small; the same on all ranks."""
+    angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
+    return [
+        f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move along "
+        "straight lines, and normals stay as they are. geometry=Exact() turns it by any angle"
+        for name, angle in angles.items()
+        if angle > LARGE_GRADIENT
+    ]

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from fenics_tfeti.checkpoint import Step, read_step, write_step
+from dolfinx.fem import Function
+
 from fenics_tfeti.errors import (
     InputError,
     Interrupted,
@@ -20,10 +21,16 @@ from fenics_tfeti.errors import (
     keep_warnings,
     wrong_type,
 )
-from fenics_tfeti.fem.arguments import as_conditions, as_contacts, as_displacement, as_rigid
+from fenics_tfeti.fem._compat import CompilerOptions
 from fenics_tfeti.fem.checks.locking import warn_of_locking
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.descriptions.arguments import (
+    as_conditions,
+    as_contacts,
+    as_displacement,
+    as_rigid,
+)
 from fenics_tfeti.fem.contact.descriptions.contacts import SelfContact
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
@@ -33,7 +40,7 @@ from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellStrains
-from fenics_tfeti.fem.torn_problem import ProblemData, TornProblem
+from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
 from fenics_tfeti.findings import (
     apart_findings,
@@ -51,6 +58,7 @@ from fenics_tfeti.parallel import (
     warn_on_first_rank,
 )
 from fenics_tfeti.report import ContactReport
+from fenics_tfeti.saved_state import Step, read_step, write_step
 from fenics_tfeti.typing import Vector
 
 # shortest step, as a share of all; no shorter rest is left
@@ -83,51 +91,46 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         L: Any,
         u: Any,
         options: ContactOptions,
+        *,
         bcs: Any,
         contacts: Any,
         cell_tags: Any,
         rigid: Any,
-        **data: Any,
+        subdomains: Sequence[int] | None,
+        measure_weight: Any,
+        compiler: CompilerOptions,
+        displacement: Function | None,
     ) -> None:
         self.options, self.space, self._timer = options, space_of_forms(a, L), Timer()
         self._warnings: list[str] = []  # of what was found and assembled
         with keep_warnings(self._warnings):
-            self._set_up(a, L, u, bcs, contacts, cell_tags, rigid, data)
+            if isinstance(contacts, str) and contacts == "auto":
+                with self._timer.phase("contact search"):
+                    exact = bool(self._exact)
+                    contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
+            self.bcs, self.contacts, self.u = bcs, contacts, as_displacement(u, self.space)
+            self._check_data()
+            self.results = self.rigid_bodies = Results()
+            self._torn = TornProblem(
+                self.space,
+                a,
+                L,
+                bcs=self.bcs,
+                contacts=list(self.contacts),
+                cell_tags=cell_tags,
+                rigid_bodies=as_rigid(rigid),
+                subdomains=subdomains,
+                subdomain_size=options.subdomain_size,
+                partitioner=options.partitioner,
+                measure_weight=measure_weight,
+                compiler=compiler,
+                displacement=displacement,
+                may_turn=bool(self._exact),
+                timer=self._timer,
+            )
+            with self._timer.phase("assembly"):
+                warn_of_locking(self._torn.torn.forms, self._torn.bodies)
         self._step = Step.at(self._first_origin())
-
-    def _set_up(
-        self,
-        a: Any,
-        L: Any,
-        u: Any,
-        bcs: Any,
-        contacts: Any,
-        cell_tags: Any,
-        rigid: Any,
-        data: dict[str, Any],
-    ) -> None:
-        """Find the contacts, and assemble."""
-        options = self.options
-        if isinstance(contacts, str) and contacts == "auto":
-            with self._timer.phase("contact search"):
-                exact = bool(self._exact)
-                contacts = find_contacts(self.space.mesh, cell_tags, whole_faces=exact)
-        self.bcs, self.contacts, self.u = bcs, contacts, as_displacement(u, self.space)
-        self._check_data()
-        self.results = self.rigid_bodies = Results()
-        torn = ProblemData(
-            self.bcs,
-            list(self.contacts),
-            cell_tags,
-            rigid=as_rigid(rigid),
-            size=options.subdomain_size,
-            partitioner=options.partitioner,
-            may_turn=bool(self._exact),
-            **data,
-        )
-        self._torn = TornProblem(self.space, a, L, torn, self._timer)
-        with self._timer.phase("assembly"):
-            warn_of_locking(self._torn.torn.forms, self._torn.bodies)
 
     @property
     def report(self) -> AnyReport:

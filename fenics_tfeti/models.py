@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import as_contacts
+from fenics_tfeti.fem.contact.descriptions.arguments import as_contacts
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.descriptions.ties import Tie

@@ -12,11 +12,10 @@ import numpy as np
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti.arc_length import Arc, ArcIteration
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import as_residual
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.descriptions.arguments import as_residual
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -24,20 +23,21 @@ from fenics_tfeti.fem.contact.solution.transfer import expected_contact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
 from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
-from fenics_tfeti.fem.newton.load_step import LoadStep, NewtonState
-from fenics_tfeti.fem.newton.rounding import Rounding
 from fenics_tfeti.fem.other_mesh import interpolated
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.feti import interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
-from fenics_tfeti.last_state import solution_at
 from fenics_tfeti.load_steps import SteppedProblem
-from fenics_tfeti.newton import SMALLER, Monitor, NewtonIteration, NewtonStep
+from fenics_tfeti.newton.arc_length import Arc, ArcIteration
+from fenics_tfeti.newton.iteration import SMALLER, Monitor, NewtonIteration, NewtonStep
+from fenics_tfeti.newton.last_state import solution_at
+from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.rounding import Rounding
+from fenics_tfeti.newton.stability import instability
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.stability import instability
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15

@@ -283,3 +283,13 @@ def _rows(table: Array, position: Numbers) -> Array:
     rows = np.zeros((position.size, *table.shape[1:]), dtype=table.dtype)
     rows[position >= 0] = table[position[position >= 0]]
     return rows
+
+
+def largest_of_groups(
+    comm: MPI.Intracomm, values: Vector, contact: Numbers, contacts: int, initial: float
+) -> Vector:
+    """Return the largest of the values (k, ...) of each contact, over all ranks. Collective."""
+    largest = np.full((contacts, *values.shape[1:]), initial)
+    np.maximum.at(largest, contact, values)
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    return largest

@@ -13,27 +13,28 @@ from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.arguments import as_forms, as_geometry
-from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
+from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_geometry
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Exact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
-from fenics_tfeti.fem.gradients import CellStrains, large_gradients, large_rotations
+from fenics_tfeti.fem.gradients import CellStrains, large_gradients
 from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
-from fenics_tfeti.fem.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
-from fenics_tfeti.fem.newton.rounding import Rounding
-from fenics_tfeti.fem.sensitivity.forms import FormsAtSolution, check_functional
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
+from fenics_tfeti.findings import large_rotations
 from fenics_tfeti.load_steps import SteppedProblem
+from fenics_tfeti.newton.equilibrium import DeformedRows, Multipliers, misfit_of_forces
+from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.report import ContactReport
 from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional
+from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_functional
 from fenics_tfeti.sensitivities.state import SolvedState
 from fenics_tfeti.sensitivities.tangent import Change, Tangent
 

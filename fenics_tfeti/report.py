@@ -12,7 +12,7 @@ from mpi4py import MPI
 
 from fenics_tfeti.errors import InputError, first_few
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.deformed import GeometryPass
+from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results, RigidBodyResult
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.io.units import Units, units_of

@@ -31,6 +31,33 @@ LAYERS = {
     ),
     "fem": ({"typing", "errors", "parallel", "compiled", "feti"}, None),
 }
+# The rooms of fem, files or folders: each imports those before it.
+FEM_ORDER = [
+    "messages",
+    "tolerances",
+    "geometry",
+    "form_numbers",
+    "assembly_loops",
+    "_compat",
+    "topology",
+    "nodes",
+    "displacement",
+    "user_data",
+    "decomposition",
+    "gradients",
+    "other_mesh",
+    "contact.surfaces",
+    "contact.descriptions",
+    "checks",
+    "contact.conditions",
+    "contact.rigid",
+    "contact.contact_set",
+    "contact.search",
+    "contact.solution",
+    "torn_problem",
+    "mesh_error",
+    "io",
+]
 # The sub-packages of feti: each imports those before it, and of feti's own modules only these.
 FETI_ORDER = [
     "factors",
@@ -154,9 +181,10 @@ def test_libraries_that_a_layer_needs():
 def test_only_fem_imports_finite_element_libraries():
     """The problem, the models and the self-test take or pose forms."""
     others = {
-        f"fenics_tfeti.{name}" for name in ("problem", "nonlinear", "newton", "models", "__main__")
+        f"fenics_tfeti.{name}"
+        for name in ("problem", "nonlinear", "models", "load_steps", "__main__")
     }
-    others.update(in_layer("fem") + in_layer("sensitivities"))
+    others.update(in_layer("fem") + in_layer("newton") + in_layer("sensitivities"))
     wrong = [
         name
         for name in MODULES
@@ -190,6 +218,41 @@ def test_subpackages_of_feti_are_imported_downwards():
         if other.startswith("fenics_tfeti.feti.")
         and other.split(".")[2]
         not in FETI_BASE | FETI_OWN.get(package, set()) | set(FETI_ORDER[: place + 1])
+    ]
+    assert not wrong, listed(wrong)
+
+
+def room_of_fem(module: str) -> int:
+    """Return the place of a module of fem in the order of its rooms; -1 of what is none of it."""
+    parts = module.removeprefix("fenics_tfeti.fem.").split(".")
+    names = (".".join(parts[:length]) for length in range(len(parts), 0, -1))
+    return next((FEM_ORDER.index(name) for name in names if name in FEM_ORDER), -1)
+
+
+def test_rooms_of_fem_are_imported_downwards():
+    wrong = [
+        (name, other)
+        for name in in_layer("fem")
+        for other in sorted(graph()[name])
+        if other.startswith("fenics_tfeti.fem.") and room_of_fem(other) > room_of_fem(name)
+    ]
+    assert not wrong, listed(wrong)
+
+
+def test_each_module_of_fem_has_a_room():
+    packages = {"fenics_tfeti.fem", "fenics_tfeti.fem.contact"}
+    without = [name for name in in_layer("fem") if room_of_fem(name) < 0 and name not in packages]
+    unused = [room for room in FEM_ORDER if not in_layer(f"fem.{room}")]
+    assert not without + unused, listed(without + unused)
+
+
+def test_geometry_knows_neither_ranks_nor_meshes():
+    libraries = {"mpi4py", "petsc4py", "dolfinx", "ufl"}
+    wrong = [
+        name
+        for name in in_layer("fem.geometry")
+        if roots(imports(tree_of(name))) & libraries
+        or any("parallel" in other for other in graph()[name])
     ]
     assert not wrong, listed(wrong)
 

@@ -34,7 +34,7 @@ from ufl.differentiation import CoefficientDerivative, VariableDerivative
 
 from fenics_tfeti.fem.assembly_loops import integrate
 from fenics_tfeti.fem.form_numbers import with_constants
-from fenics_tfeti.fem.reference_cells import reference_cell
+from fenics_tfeti.fem.geometry.reference_cells import reference_cell
 from fenics_tfeti.typing import Array, Indices, Numbers, Vector
 
 

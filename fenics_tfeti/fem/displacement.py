@@ -12,8 +12,8 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.geometry.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.reference_cells import MESH_CELLS
 from fenics_tfeti.fem.tolerances import SAME_VALUE
 from fenics_tfeti.feti.system import Prescribed, Subdomain
 from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank

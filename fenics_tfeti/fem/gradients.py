@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from mpi4py import MPI
@@ -13,17 +13,17 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.solution.results import RigidBodyResult
-from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.reference_cells import lagrange_points, shape_gradients
-from fenics_tfeti.fem.topology import batches, owned_cells
+from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.geometry.reference_cells import lagrange_points, shape_gradients
+from fenics_tfeti.fem.topology import owned_cells
+from fenics_tfeti.parallel import largest_of_groups
 from fenics_tfeti.typing import Mask, Vector
 
 # cells at once
 _CELLS = 2**13
 # |grad u| from which on its square, which linear elasticity leaves out, is no small part of it
-_LARGE = 0.1
+LARGE_GRADIENT = 0.1
 # share of the strain energy that is more than that of corners and point loads
 _SHARE = 0.1
 
@@ -145,18 +145,18 @@ def large_gradients(
         of_body = np.divide(part, whole, out=np.zeros_like(whole), where=whole > 0.0)
         return of_body * np.asarray(energy) / max(sum(energy), np.finfo(float).tiny)
 
-    large = share(strains.gradient > _LARGE)
+    large = share(strains.gradient > LARGE_GRADIENT)
     if large.sum() <= _SHARE:
         return []
     worst = int(large.argmax())
     name, columns = bodies.names[worst], np.column_stack([strains.gradient, strains.rotation])
-    gradient, rotation = extremes(comm, columns, bodies.of_cell, count, 0.0)[worst]
-    if share(strains.strain > _LARGE).sum() > _SHARE:
+    gradient, rotation = largest_of_groups(comm, columns, bodies.of_cell, count, 0.0)[worst]
+    if share(strains.strain > LARGE_GRADIENT).sum() > _SHARE:
         return [
-            f"|grad u| is as large as {gradient:.2g} in {name}, and above {_LARGE:g} in cells with "
-            f"{large.sum():.0%} of the strain energy; linear elasticity and the contact conditions "
-            "are right for |grad u| much smaller than 1 only. Do the units fit, such as E in Pa "
-            "with lengths in m, or in MPa with mm?"
+            f"|grad u| is as large as {gradient:.2g} in {name}, and above {LARGE_GRADIENT:g} in "
+            f"cells with {large.sum():.0%} of the strain energy; linear elasticity and the contact "
+            "conditions are right for |grad u| much smaller than 1 only. Do the units fit, such as "
+            "E in Pa with lengths in m, or in MPa with mm?"
         ]
     weak = [motion for motion in weak_motions if f"{name}: " in motion]
     why = (
@@ -167,17 +167,6 @@ def large_gradients(
     return [
         f"{name} turns by {np.degrees(rotation):.2g} degrees, with strains that are small. Linear "
         f"elasticity and the contact conditions are right for small rotations only; {why}"
-    ]
-
-
-def large_rotations(bodies: Iterable[RigidBodyResult]) -> list[str]:
-    """Name rigid bodies whose rotation is not small; the same on all ranks."""
-    angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
-    return [
-        f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move along "
-        "straight lines, and normals stay as they are. geometry=Exact() turns it by any angle"
-        for name, angle in angles.items()
-        if angle > _LARGE
     ]
 
 

@@ -20,8 +20,8 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.geometry.reference_cells import lagrange_points, reference_cell, shape_values
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.reference_cells import lagrange_points, reference_cell, shape_values
 from fenics_tfeti.fem.topology import cell_type, cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from dolfinx.mesh import Mesh, exterior_facet_indices
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
+from fenics_tfeti.fem.geometry.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers
 
@@ -30,12 +30,6 @@ def cell_type(domain: Mesh) -> ReferenceCell:
 def owned_cells(domain: Mesh) -> int:
     """Return the number of cells that this rank owns; ghosts are numbered after them."""
     return int(domain.topology.index_map(domain.topology.dim).size_local)
-
-
-def batches(count: int, size: int) -> Iterator[slice]:
-    """Return slices of at most `size` that cover `count` rows."""
-    for first in range(0, count, size):
-        yield slice(first, min(first + size, count))
 
 
 def with_tag_names(tags: Any, names: Mapping[int, str]) -> Any:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from operator import is_
 from typing import Any
@@ -37,28 +37,10 @@ from fenics_tfeti.fem.displacement import (
     owned_values,
     prescribed_values,
 )
-from fenics_tfeti.fem.newton.face import Face
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Vector
-
-
-@dataclass(frozen=True)
-class ProblemData:
-    """The checked arguments of a problem, without its forms."""
-
-    bcs: list[Any]
-    contacts: list[Contact | Tie]
-    cell_tags: Any
-    subdomains: Sequence[int] | None  # labels of cells
-    size: int  # of subdomains without labels, in unknowns
-    partitioner: Partitioner
-    measure_weight: Any
-    compiler: _compat.CompilerOptions
-    displacement: Function | None  # of the surfaces where obstacles are evaluated
-    rigid: Mapping[int, RigidBody]  # bodies by tag of their cells
-    may_turn: bool  # whether contacts are also searched on the deformed surfaces
 
 
 class TornProblem:
@@ -67,35 +49,46 @@ class TornProblem:
     undeformed: ContactSet
 
     def __init__(
-        self, space: FunctionSpace, a: ufl.Form, L: ufl.Form, data: ProblemData, timer: Timer
+        self,
+        space: FunctionSpace,
+        a: ufl.Form,
+        L: ufl.Form,
+        *,
+        bcs: list[Any],
+        contacts: list[Contact | Tie],
+        cell_tags: Any,
+        rigid_bodies: Mapping[int, RigidBody],  # by tag of their cells
+        subdomains: Sequence[int] | None,  # labels of cells
+        subdomain_size: int,  # of those without labels, in unknowns
+        partitioner: Partitioner,
+        measure_weight: Any,
+        compiler: _compat.CompilerOptions,
+        displacement: Function | None,  # of the surfaces where obstacles are evaluated
+        may_turn: bool,  # whether contacts are also searched on the deformed surfaces
+        timer: Timer,
     ) -> None:
-        self.space, self.nodes, self.data, self._timer = space, NodeMap(space), data, timer
+        self.space, self.nodes, self.compiler = space, NodeMap(space), compiler
+        self.bcs, self.contacts, self._rigid_bodies = bcs, contacts, rigid_bodies
         with timer.phase("partition"):
-            self.bodies = find_bodies(space.mesh, data.cell_tags, data.rigid)
-            _check_rigid_tags(space, self.bodies, data.rigid)
-            check_mesh(space.mesh, self.bodies, data.contacts)
+            self.bodies = find_bodies(space.mesh, cell_tags, rigid_bodies)
+            _check_rigid_tags(space, self.bodies, rigid_bodies)
+            check_mesh(space.mesh, self.bodies, contacts)
         self._search = ContactSearch(
-            space,
-            self.bodies,
-            data.measure_weight,
-            timer,
-            data.displacement,
-            data.rigid,
-            data.may_turn,
+            space, self.bodies, measure_weight, timer, displacement, rigid_bodies, may_turn
         )
         self._is_updated = False
-        found = self._find(self._search, data)
+        found = self._find(self._search, bcs, contacts)
         with timer.phase("compilation"):
-            forms = prepare_forms(space, a, L, data.compiler)
+            forms = prepare_forms(space, a, L, compiler)
         x = self._search.boundary.coordinates
         with timer.phase("partition"):
             cells = (
-                split_into_subdomains(space, self.bodies, data.size, data.partitioner, x)
-                if data.subdomains is None
-                else as_subdomains(space.mesh, self.bodies, data.subdomains)
+                split_into_subdomains(space, self.bodies, subdomain_size, partitioner, x)
+                if subdomains is None
+                else as_subdomains(space.mesh, self.bodies, subdomains)
             )
         self.torn = TornMesh(forms, self.bodies, cells, x, timer)
-        self._assemble(found, data)
+        self._assemble(found, bcs, contacts)
 
     def update(
         self,
@@ -108,23 +101,22 @@ class TornProblem:
         After an error the data are the earlier ones, and the next update does all of it again.
         """
         self._is_updated = False
-        data = replace(self.data, bcs=bcs, contacts=list(contacts))
-        search = self._search
+        contacts, search = list(contacts), self._search
         if has_moved := self.torn.has_moved():
-            check_mesh(self.space.mesh, self.bodies, data.contacts)
+            check_mesh(self.space.mesh, self.bodies, contacts)
             search = search.on_moved_nodes()
-        found = self._find(search, data)
+        found = self._find(search, bcs, contacts)
         if has_moved:
             self.torn.place_nodes(search.boundary.coordinates)
         self._search = search
-        self._assemble(found, data, release)
+        self._assemble(found, bcs, contacts, release)
 
     def update_supports(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
         """Take the values of supports if nothing else has changed; tell whether. Collective.
 
         Contacts are those that were found.
         """
-        known, before = self.data.contacts, self.undeformed.prescribed
+        known, before = self.contacts, self.undeformed.prescribed
         has_same_contacts = len(known) == len(contacts) and all(map(is_, known, contacts))
         if not (self._is_updated and has_same_contacts) or self.torn.has_moved():
             return False
@@ -134,7 +126,7 @@ class TornProblem:
         pairs = (before.nodes, prescribed.nodes), (before.components, prescribed.components)
         if any_rank(self.nodes.comm, [not np.array_equal(*pair) for pair in pairs]):
             return False
-        self.data = replace(self.data, bcs=bcs)
+        self.bcs = bcs
         self.undeformed = replace(self.undeformed, prescribed=prescribed)
         return True
 
@@ -154,23 +146,29 @@ class TornProblem:
         The problem keeps those that it has. Ties with the numbers of those kept stay as they are.
         """
         search = self._search.on_moved_nodes()
-        return search.find(list(contacts), prescribed_values(self.space, self.data.bcs), kept)
+        return search.find(list(contacts), prescribed_values(self.space, self.bcs), kept)
 
-    def _find(self, search: ContactSearch, data: ProblemData) -> ContactSet:
-        return search.find(data.contacts, prescribed_values(self.space, data.bcs))
+    def _find(
+        self, search: ContactSearch, bcs: list[Any], contacts: list[Contact | Tie]
+    ) -> ContactSet:
+        return search.find(contacts, prescribed_values(self.space, bcs))
 
     def _assemble(
-        self, found: ContactSet, data: ProblemData, release: Callable[[], None] | None = None
+        self,
+        found: ContactSet,
+        bcs: list[Any],
+        contacts: list[Contact | Tie],
+        release: Callable[[], None] | None = None,
     ) -> None:
         """Assemble the subdomains, after which slave and master may be exchanged."""
         subdomains = self.torn.assemble(release)
-        found = self._search.with_roles(found, data.contacts, subdomains)
+        found = self._search.with_roles(found, contacts, subdomains)
         self.undeformed = replace(found, bodies=self.loaded(found.bodies))
-        self.data, self._is_updated = data, True
+        self.bcs, self.contacts, self._is_updated = bcs, contacts, True
 
     def loaded(self, bodies: RigidBodies) -> RigidBodies:
         """Return rigid bodies with the present loads on their cells. Collective."""
-        if not self.data.rigid:
+        if not self._rigid_bodies:
             return bodies
         return bodies.loaded(self._search.rigid.resultants(self.torn.load(rigid=True), bodies))
 
@@ -184,7 +182,7 @@ class TornProblem:
 
     def is_as_found(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
         """Tell whether all data are those of the last update. Collective."""
-        known, before = self.data.contacts, self.undeformed.prescribed
+        known, before = self.contacts, self.undeformed.prescribed
         if not (
             self._is_updated and len(known) == len(contacts) and all(map(is_, known, contacts))
         ):
@@ -198,9 +196,10 @@ class TornProblem:
     def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
         """Return the torn system, with slip counted from its origin. Collective."""
         conditions = conditions or self.undeformed
-        return self._system(conditions, conditions.friction_rows(origin))
+        return self.system_of(conditions, conditions.friction_rows(origin))
 
-    def _system(self, conditions: ContactSet, friction: Friction) -> TornSystem:
+    def system_of(self, conditions: ContactSet, friction: Friction) -> TornSystem:
+        """Return the torn system with contacts and friction. Collective."""
         return TornSystem(
             [*self.torn.subdomains, *conditions.added_subdomains(self.bodies.deformable)],
             conditions.prescribed,
@@ -209,7 +208,7 @@ class TornProblem:
             [*self.bodies.names[: self.bodies.deformable], *conditions.added_names],
             conditions.names,
             self.nodes.comm,
-            [f"Dirichlet condition {i}" for i in range(len(self.data.bcs))],
+            [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
             conditions.tied_rows(),
             friction,
         )
@@ -217,32 +216,6 @@ class TornProblem:
     def tangents(self, conditions: ContactSet) -> list[Subdomain]:
         """Return the subdomains with the present tangents and bodies. Collective."""
         return [*self.torn.assemble(), *conditions.added_subdomains(self.bodies.deformable)]
-
-    def system_at(
-        self, u: Function, face: Face, has_small_strains: Callable[[Subdomain], bool]
-    ) -> TornSystem:
-        """Return the system for an increment of u, without loads on the mesh. Collective.
-
-        The coordinates are the deformed ones, and stiffness matrices are tangents there.
-        """
-        conditions, values = face.rows.conditions, self.nodes.values(u)
-        prescribed, subdomains = conditions.prescribed, self.torn.assemble()
-        for i, s in enumerate(subdomains):
-            x = s.coordinates + values[self.nodes.to_local(s.nodes)]
-            deformed = replace(s, coordinates=x)
-            # one that was only shifted has small strains still; its neighbours may be deformed
-            if not has_small_strains(s) or has_small_strains(deformed):
-                subdomains[i] = deformed
-        subdomains += conditions.added_subdomains(self.bodies.deformable)
-        local = self.nodes.to_local(prescribed.nodes)
-        increment = prescribed.values - values[local, prescribed.components]
-        return replace(
-            self._system(conditions, face.friction),
-            subdomains=subdomains,
-            prescribed=replace(prescribed, values=increment),
-            contacts=face.contacts,
-            tied=face.rows.tied,
-        )
 
     def spread(
         self, subdomains: Sequence[Subdomain], force: Vector, beyond: Vector

@@ -678,3 +678,15 @@ def _integer(value: Any) -> Any:
 def _set(part: Any, name: str, value: Any) -> None:
     """Set a field of a frozen data class while it is being made."""
     object.__setattr__(part, name, value)
+
+
+def are_same(subdomains: Sequence[Subdomain], others: Sequence[Subdomain]) -> bool:
+    """Tell whether subdomains have the same matrices, nodes and bodies."""
+    return len(subdomains) == len(others) and all(
+        np.array_equal(s.nodes, t.nodes)
+        and np.array_equal(s.coordinates, t.coordinates)
+        and s.body == t.body
+        and s.has_kernel_of(t)
+        and (s.stiffness != t.stiffness).nnz == 0
+        for s, t in zip(subdomains, others, strict=True)
+    )

@@ -21,7 +21,14 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
     RigidObstacle,
 )
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
-from fenics_tfeti.fem.sensitivity.forms import (
+from fenics_tfeti.feti.solution.linear import LinearData, LinearSolution
+from fenics_tfeti.feti.system import Friction, RowValues
+from fenics_tfeti.parallel import (
+    any_rank,
+    largest_of_ranks,
+    raise_collectively,
+)
+from fenics_tfeti.sensitivities.forms import (
     by_constant,
     by_function,
     by_places,
@@ -30,20 +37,13 @@ from fenics_tfeti.fem.sensitivity.forms import (
     node_changes,
     places_space,
 )
-from fenics_tfeti.fem.sensitivity.row_supports import (
+from fenics_tfeti.sensitivities.linear_solves import LinearSolves
+from fenics_tfeti.sensitivities.row_supports import (
     derivative_by_places,
     largest_distortion,
 )
-from fenics_tfeti.fem.sensitivity.supports import prescribed_entries
-from fenics_tfeti.feti.solution.linear import LinearData, LinearSolution
-from fenics_tfeti.feti.system import Friction, RowValues
-from fenics_tfeti.parallel import (
-    any_rank,
-    largest_of_ranks,
-    raise_collectively,
-)
-from fenics_tfeti.sensitivities.linear_solves import LinearSolves
 from fenics_tfeti.sensitivities.state import SolvedState
+from fenics_tfeti.sensitivities.supports import prescribed_entries
 from fenics_tfeti.typing import Vector
 
 
@@ -169,7 +169,7 @@ class Adjoint:
         self._state.check_current()
         state, space = self._state, self._state.forms.u.function_space
         check_parameter(m)
-        bcs = state.torn.data.bcs
+        bcs = state.torn.bcs
         dofs, entries = prescribed_entries(space, bcs, state.conditions.prescribed, m)
         is_support = any_rank(space.mesh.comm, [dofs.size > 0])
         check_dependence(m, is_support or state.forms.depend_on(m))
@@ -380,7 +380,7 @@ class Adjoint:
         """
         state, domain = self._state, self._state.forms.u.function_space.mesh
         x = domain.geometry.x.copy()
-        contacts = [state.used(contact, one_by_one) for contact in state.torn.data.contacts]
+        contacts = [state.used(contact, one_by_one) for contact in state.torn.contacts]
         kept = state.matched_ties if one_by_one else None
 
         def rows_at(change: Function) -> Vector:
@@ -394,14 +394,14 @@ class Adjoint:
 
     def _obstacle(self, name: str | int) -> RigidObstacle:
         found, _ = self._state.parts_of(name)[0]
-        contact = self._state.torn.data.contacts[found.number]
+        contact = self._state.torn.contacts[found.number]
         if not isinstance(contact, RigidObstacle) or contact.body is not None:
             raise InputError(f"contact {name!r} is none with a rigid obstacle that is held")
         return contact
 
     def _with_contact(self, contact: Contact, other: Contact) -> ContactSet:
         """Return the conditions with another contact in place of one."""
-        contacts = self._state.torn.data.contacts
+        contacts = self._state.torn.contacts
         return self._state.torn.found_anew([other if c is contact else c for c in contacts])
 
     def _difference(self, ends: Sequence[ContactSet], size: float) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.conditions import row_values
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.conditions.pairing import row_values
 from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
 from fenics_tfeti.fem.contact.contact_set import (
     ContactSet,
@@ -29,11 +29,6 @@ from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, PeriodicPair
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.displacement import fill_displacement
-from fenics_tfeti.fem.sensitivity.forms import (
-    FormsAtSolution,
-    check_dependence,
-)
-from fenics_tfeti.fem.sensitivity.supports import prescribed_entries
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti.solution.linear import LinearProblem, LinearSolution
 from fenics_tfeti.feti.solver import TornSolution
@@ -42,6 +37,11 @@ from fenics_tfeti.parallel import (
     any_rank,
     largest_of_ranks,
 )
+from fenics_tfeti.sensitivities.forms import (
+    FormsAtSolution,
+    check_dependence,
+)
+from fenics_tfeti.sensitivities.supports import prescribed_entries
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -134,9 +134,7 @@ class SolvedState:
         size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
         prescribed, in_forms = np.zeros(size), []
         for m, dm in data.items():
-            at, entries = prescribed_entries(
-                space, self.torn.data.bcs, self.conditions.prescribed, m
-            )
+            at, entries = prescribed_entries(space, self.torn.bcs, self.conditions.prescribed, m)
             values = np.ravel(dm.x.array if isinstance(dm, Function) else dm)
             values = np.broadcast_to(
                 values, np.size(m.value if isinstance(m, Constant) else m.x.array)

@@ -13,9 +13,6 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
-from fenics_tfeti.fem.sensitivity.forms import (
-    check_parameter,
-)
 from fenics_tfeti.feti.solution.linear import LinearData, LinearSolution
 from fenics_tfeti.feti.system import RowValues
 from fenics_tfeti.feti.tolerances import ZERO
@@ -24,6 +21,9 @@ from fenics_tfeti.parallel import (
     concatenate_ranks,
     first_of_rank,
     raise_collectively,
+)
+from fenics_tfeti.sensitivities.forms import (
+    check_parameter,
 )
 from fenics_tfeti.sensitivities.linear_solves import LinearSolves
 from fenics_tfeti.sensitivities.state import SolvedState

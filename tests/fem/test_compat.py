@@ -19,7 +19,7 @@ from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
-from fenics_tfeti.fem.reference_cells import reference_cell
+from fenics_tfeti.fem.geometry.reference_cells import reference_cell
 from fenics_tfeti.io import Box, boxes
 
 

@@ -20,7 +20,7 @@ from fenics_tfeti import (
 )
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import neo_hookean
-from fenics_tfeti.newton import NewtonStep
+from fenics_tfeti.newton.iteration import NewtonStep
 
 COMM = MPI.COMM_WORLD
 

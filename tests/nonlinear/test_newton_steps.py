@@ -14,9 +14,10 @@ from finite_strains import (
     squeezed_block,
 )
 
-from fenics_tfeti import Coulomb, Plane, newton
+from fenics_tfeti import Coulomb, Plane
 from fenics_tfeti.feti import TornSolver
 from fenics_tfeti.feti.solution.linear import LinearProblem
+from fenics_tfeti.newton import iteration
 
 ACCURATE = {"newton_rtol": 1e-8, "subdomain_size": 60}
 
@@ -88,12 +89,12 @@ def set_ups(monkeypatch):
     """The stiffness matrices of each set-up."""
     made = []
 
-    class Counted(newton.TornSolver):
+    class Counted(iteration.TornSolver):
         def __init__(self, system, *args):
             made.append([subdomain.stiffness for subdomain in system.subdomains])
             super().__init__(system, *args)
 
-    monkeypatch.setattr(newton, "TornSolver", Counted)
+    monkeypatch.setattr(iteration, "TornSolver", Counted)
     return made
 
 

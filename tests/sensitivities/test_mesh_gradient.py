@@ -7,7 +7,7 @@ from sensitivity_scenes import block_on_roller, blocks, mesh_direction, tied_sta
 
 from fenics_tfeti import BoltPreload, Coulomb, InputError, Nearest, Tresca
 from fenics_tfeti.fem.displacement import owned_values
-from fenics_tfeti.fem.sensitivity import row_supports
+from fenics_tfeti.sensitivities import row_supports
 
 KINDS = {
     "node pairs": partial(blocks, partners=Nearest()),

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fenics_tfeti.fem.contact.mortar.facets import Facets
+from fenics_tfeti.fem.geometry.facets import Facets
 
 Vector = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.search.contact_search import match_parts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 

@@ -21,9 +21,9 @@ from dolfinx.fem import Function
 
 from fenics_tfeti import ContactProblem
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import shape_functions
-from fenics_tfeti.fem.contact.mortar.integrals import integrate, integrate_alone
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.geometry.facets import shape_functions
+from fenics_tfeti.fem.geometry.integrals import integrate, integrate_alone
 
 PRESSURE = 2e7
 LOADED, LOWER, UPPER = 1, 10, 11

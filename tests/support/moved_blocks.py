@@ -16,8 +16,8 @@ from scenes import GROUND, MASTER, SLAVE, Scene, at, dimension
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 

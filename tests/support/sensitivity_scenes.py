@@ -39,7 +39,7 @@ from fenics_tfeti import (
     TiedPair,
 )
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.sensitivity.forms import node_changes, places_space
+from fenics_tfeti.sensitivities.forms import node_changes, places_space
 
 # of the upper body's lower face, which touches near the middle
 CROWN, GAP = 0.02, 1e-3

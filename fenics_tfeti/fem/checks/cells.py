@@ -14,11 +14,16 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.geometry.reference_cells import (
+    ReferenceCell,
+    lagrange_points,
+    shape_gradients,
+)
 from fenics_tfeti.fem.gradients import determinants
 from fenics_tfeti.fem.messages import coordinate_order, first_mesh_point
-from fenics_tfeti.fem.reference_cells import ReferenceCell, lagrange_points, shape_gradients
 from fenics_tfeti.fem.tolerances import FLAT_CELL
-from fenics_tfeti.fem.topology import batches, cell_facets, cell_type
+from fenics_tfeti.fem.topology import cell_facets, cell_type
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 

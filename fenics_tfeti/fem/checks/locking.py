@@ -15,7 +15,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.assembly import PreparedForms
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.forms import flat_rows
-from fenics_tfeti.fem.reference_cells import ReferenceCell
+from fenics_tfeti.fem.geometry.reference_cells import ReferenceCell
 from fenics_tfeti.fem.topology import cell_type, cell_vertices
 from fenics_tfeti.parallel import warn_on_first_rank
 from fenics_tfeti.typing import Indices, Vector

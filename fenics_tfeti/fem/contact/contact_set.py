@@ -12,6 +12,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, SlaveValues, contact_rows
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.conditions.friction import (
     NodalFriction,
@@ -19,14 +20,13 @@ from fenics_tfeti.fem.contact.conditions.friction import (
     friction_rows,
     nodal_friction,
 )
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues, contact_rows
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
-from fenics_tfeti.fem.contact.search.roles import Roles
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong

@@ -23,8 +23,9 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.decomposition.forms import PreparedForm, prepare_form
 from fenics_tfeti.fem.decomposition.parts import Part, find_equal, number_parts, samples
+from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import batches, exterior_cell_facets
+from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.feti.timer import Timer
 from fenics_tfeti.parallel import raise_collectively

@@ -18,10 +18,10 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point, warn_user
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.geometry.reference_cells import MESH_CELLS, reference_cell
 from fenics_tfeti.fem.io.interfaces import Interface, open_interfaces
 from fenics_tfeti.fem.io.straight_cells import straighten_folded_cells
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh, WholeMesh, distribute, tags_by_corners
-from fenics_tfeti.fem.reference_cells import MESH_CELLS, reference_cell
 from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector

@@ -18,7 +18,7 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
+from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import (
     Names,
     TaggedMesh,

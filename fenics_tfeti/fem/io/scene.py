@@ -11,8 +11,8 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import Facets
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.geometry.facets import Facets
 from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_cell_facets, owned_cells

@@ -12,8 +12,8 @@ import numpy as np
 
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.fem.checks.cells import folded_cells
+from fenics_tfeti.fem.geometry.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.fem.io.tagged_mesh import WholeMesh
-from fenics_tfeti.fem.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.typing import Vector
 
 

@@ -14,8 +14,8 @@ from dolfinx.mesh import Mesh, locate_entities_boundary
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.geometry.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
 from fenics_tfeti.fem.io.tagged_mesh import Names, TaggedMesh, sorted_tags
-from fenics_tfeti.fem.reference_cells import MESH_CELLS, ReferenceCell, reference_cell
 from fenics_tfeti.fem.topology import cells_of_facets, with_tag_names
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively

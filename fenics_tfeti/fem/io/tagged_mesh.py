@@ -13,7 +13,7 @@ from dolfinx.mesh import Mesh, meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.reference_cells import ReferenceCell, reference_cell
+from fenics_tfeti.fem.geometry.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_tag_names
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 

@@ -10,10 +10,10 @@ from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObs
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
+from fenics_tfeti.fem.geometry.reference_cells import shape_values
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.tractions import over_ranks
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.reference_cells import shape_values
 from fenics_tfeti.fem.topology import dense_tags
 from fenics_tfeti.typing import Mask, Numbers, Vector
 

@@ -22,6 +22,7 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
+from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.mesh_error.contact import at_local_nodes, facets_of, gap_energies
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.neumann import NeumannProblems
@@ -34,7 +35,7 @@ from fenics_tfeti.fem.mesh_error.tractions import (
     over_ranks,
 )
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import batches, exterior_facets, owned_cells, vertex_nodes
+from fenics_tfeti.fem.topology import exterior_facets, owned_cells, vertex_nodes
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import raise_collectively
@@ -349,7 +350,7 @@ class MeshErrorProblem:
             self.faces,
             forms.bilinear.form,
             forms.linear.form,
-            torn.data.compiler,
+            torn.compiler,
             self.is_linearised,
         )
 

@@ -12,8 +12,7 @@ import basix
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import cross
-from fenics_tfeti.fem.reference_cells import (
+from fenics_tfeti.fem.geometry.reference_cells import (
     ReferenceCell,
     lagrange_points,
     quadrature,
@@ -21,6 +20,7 @@ from fenics_tfeti.fem.reference_cells import (
     shape_gradients,
     shape_values,
 )
+from fenics_tfeti.fem.geometry.vectors import cross
 from fenics_tfeti.fem.topology import cell_facets, cell_type
 from fenics_tfeti.typing import Indices, Numbers, Vector
 

@@ -12,10 +12,11 @@ import ufl
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import prepare_form
+from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.geometry.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.fem.mesh_error.cell_loops import products
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
-from fenics_tfeti.fem.reference_cells import lagrange_points, shape_values
-from fenics_tfeti.fem.topology import batches, exterior_cell_facets
+from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.typing import Numbers, Vector
 
 # numbers in the matrices of the cells that are solved with at once

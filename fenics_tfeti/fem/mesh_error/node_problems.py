@@ -14,9 +14,10 @@ from typing import TypeVar
 
 import numpy as np
 
+from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.mesh_error.faces import add_rows
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import batches, connected_labels
+from fenics_tfeti.fem.topology import connected_labels
 from fenics_tfeti.parallel import send_rows
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 

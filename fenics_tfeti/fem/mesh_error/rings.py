@@ -17,10 +17,10 @@ import scipy.sparse as sp
 
 import basix
 
+from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.mesh_error.cell_loops import add_energies
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.neumann import CellEnergies, axes, rotations
-from fenics_tfeti.fem.topology import batches
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # numbers in the matrices of rings that are inverted at once

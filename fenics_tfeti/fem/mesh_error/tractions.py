@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
+from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
 from fenics_tfeti.fem.mesh_error.node_problems import (
     CellForces,
@@ -23,7 +24,7 @@ from fenics_tfeti.fem.mesh_error.node_problems import (
 )
 from fenics_tfeti.fem.mesh_error.stress import CellStress
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import batches, global_numbers
+from fenics_tfeti.fem.topology import global_numbers
 from fenics_tfeti.parallel import Directory, any_rank, largest_of_ranks
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 

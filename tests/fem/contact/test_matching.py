@@ -11,7 +11,7 @@ from strips import matched, partners, strips
 
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import contact_rows
+from fenics_tfeti.fem.contact.conditions.conditions import contact_rows
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.parallel import concatenate_ranks

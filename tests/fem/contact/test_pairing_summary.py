@@ -11,7 +11,7 @@ from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
 from fenics_tfeti import ContactPair, Mapped
-from fenics_tfeti.fem.contact.conditions.summary import angles_between
+from fenics_tfeti.fem.geometry.vectors import angles_between
 
 
 def test_summary_of_a_tilted_slave():

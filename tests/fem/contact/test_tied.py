@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import InputError, TiedPair
-from fenics_tfeti.fem.contact.conditions.pairing import row_values
+from fenics_tfeti.fem.contact.conditions.conditions import row_values
 
 COMM = MPI.COMM_WORLD
 

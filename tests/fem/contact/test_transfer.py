@@ -13,7 +13,7 @@ from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, InputError, Plane
-from fenics_tfeti.fem.contact.conditions.pairing import Terms
+from fenics_tfeti.fem.contact.conditions.conditions import Terms
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scenes import CELLS
 
+from fenics_tfeti.fem.geometry.reference_cells import lagrange_points
 from fenics_tfeti.fem.io.straight_cells import straighten_folded_cells
 from fenics_tfeti.fem.io.tagged_mesh import WholeMesh
-from fenics_tfeti.fem.reference_cells import lagrange_points
 
 
 def mesh_of(cell, nodes, x):

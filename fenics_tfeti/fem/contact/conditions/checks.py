@@ -11,16 +11,15 @@ import numpy as np
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_tags
-from fenics_tfeti.fem.contact.surfaces.tagged import extremes
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_vertices
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import largest_of_groups, raise_collectively
 from fenics_tfeti.typing import Vector
 
 
@@ -105,5 +104,5 @@ def _sizes_of_bodies(space: FunctionSpace, bodies: Bodies) -> Vector:
     cells = cell_vertices(space.mesh)[: bodies.of_cell.size]
     x = space.mesh.geometry.x[cells, : space.mesh.geometry.dim]
     ends = np.hstack([x.max(axis=1), -x.min(axis=1)])
-    largest = extremes(space.mesh.comm, ends, bodies.of_cell, len(bodies.names), -np.inf)
+    largest = largest_of_groups(space.mesh.comm, ends, bodies.of_cell, len(bodies.names), -np.inf)
     return np.add(*np.split(largest, 2, axis=1))

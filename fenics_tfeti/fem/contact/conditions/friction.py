@@ -16,16 +16,14 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, SlaveValues, row_values
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, SlaveValues, row_values
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, Tresca
-from fenics_tfeti.fem.contact.solution.results import FrictionResult
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.fem.user_data import scalars_at, vectors_at
-from fenics_tfeti.feti.solver import TornSolution
 from fenics_tfeti.feti.system import ContactRows, Friction
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -53,22 +51,6 @@ class NodalFriction:
     bound: Vector  # slip bounds (k,) [N]; 0 with Coulomb's law
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
-
-    def result(
-        self, solution: TornSolution, sites: Numbers, pairing: ContactPairing
-    ) -> FrictionResult:
-        """Return what a solution is at these sites, the conditions of a contact. Collective."""
-        # on the slave forces are against the tangents
-        force, slip = solution.tangential_force[sites], solution.slip[sites]
-        slave_force = -np.einsum("kt,kta->ka", force, self.tangents)
-        return FrictionResult(
-            force=slave_force,
-            traction=pairing.mean_traction(slave_force),
-            bound=solution.slip_bound[sites],
-            slip=np.einsum("kt,kta->ka", slip, self.tangents),
-            sticking=solution.sticking[sites],
-            work=np.sum(force * slip, axis=1),
-        )
 
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import Accuracy, Conditions, JoinedPairs, Terms
-from fenics_tfeti.fem.contact.conditions.summary import angles_between
+from fenics_tfeti.fem.contact.conditions.conditions import Accuracy, Conditions, JoinedPairs, Terms
 from fenics_tfeti.fem.contact.descriptions.partners import (
     Along,
     Mapped,
@@ -19,12 +18,12 @@ from fenics_tfeti.fem.contact.descriptions.partners import (
     NodePartners,
     Points,
 )
-from fenics_tfeti.fem.contact.mortar.facets import apart
-from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
-from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights, tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, SurfaceNodes
+from fenics_tfeti.fem.geometry.box_tree import BoxTree
+from fenics_tfeti.fem.geometry.facets import apart
+from fenics_tfeti.fem.geometry.normals import chord_heights
+from fenics_tfeti.fem.geometry.vectors import angles_between, tangential_part, unit
 from fenics_tfeti.fem.messages import coordinate_order, first_distances, first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import unit_vectors, vectors_at

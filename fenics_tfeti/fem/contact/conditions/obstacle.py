@@ -13,8 +13,9 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing, Terms
-from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, Terms
+from fenics_tfeti.fem.contact.conditions.mortars import one_sided_conditions
+from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.shapes import (
     Cylinder,
@@ -23,11 +24,9 @@ from fenics_tfeti.fem.contact.descriptions.shapes import (
     Plane,
     Sphere,
 )
-from fenics_tfeti.fem.contact.mortar.conditions import one_sided_conditions
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
-from fenics_tfeti.fem.contact.surfaces.oriented import tangential_part
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.geometry.vectors import angles_between, tangential_part, unit
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_OBSTACLE, NOT_GRADIENT, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate

@@ -10,8 +10,7 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import warn_user
-from fenics_tfeti.fem.contact.surfaces.tagged import extremes
-from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING
+from fenics_tfeti.parallel import largest_of_groups
 from fenics_tfeti.typing import Array, Numbers, Vector
 
 _ENTRIES = (
@@ -67,7 +66,7 @@ def pairing_summaries(
     totals = np.array(sums, dtype=float)
     comm.Allreduce(MPI.IN_PLACE, totals)
     columns = np.column_stack([*maxima.values()])
-    largest = extremes(comm, columns, contact, contacts, -np.inf)
+    largest = largest_of_groups(comm, columns, contact, contacts, -np.inf)
     largest[:, [*maxima].index("smallest_gap")] *= -1.0
     entries = []
     for k, (pairs, total, covered, *of_means) in enumerate(totals.T.tolist()):
@@ -123,11 +122,3 @@ def warn_of_deviation(entry: Mapping[str, Any]) -> None:
         "surfaces touch. Give the size that is meant, initial_gap=... (or 'touching' for none), or "
         "use cells of second order with displacement_space(mesh, degree=2), or finer facets"
     )
-
-
-def angles_between(first: Vector, second: Vector) -> Vector:
-    """Return the angles between unit vectors (k, gdim), row by row [degrees]."""
-    # by the chord, which is accurate for small angles, unlike the inverse cosine
-    chord = np.linalg.norm(first - second, axis=1)
-    chord[chord < COORDINATE_ROUNDING] = 0.0
-    return np.degrees(2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)))

@@ -18,20 +18,17 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.conditions.pairing import (
+from fenics_tfeti.fem.contact.conditions.conditions import (
     Conditions,
     ContactPairing,
     JoinedPairs,
     PressureShares,
 )
+from fenics_tfeti.fem.contact.conditions.mortars import mortar_conditions
+from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
-from fenics_tfeti.fem.contact.mortar.conditions import mortar_conditions
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.contact.mortar.integrals import integrate
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
@@ -39,13 +36,16 @@ from fenics_tfeti.fem.contact.surfaces.patches import connected_facets, patch_co
 from fenics_tfeti.fem.contact.surfaces.tagged import (
     MeshBoundary,
     Surface,
-    extremes,
     split,
     surface_of,
     tagged_facets,
 )
+from fenics_tfeti.fem.geometry.integrals import integrate
+from fenics_tfeti.fem.geometry.normals import facet_normals
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.nodes import ContactNodes
 from fenics_tfeti.fem.user_data import scalars_at
+from fenics_tfeti.parallel import largest_of_groups
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 NamedPair: TypeAlias = tuple[str, ContactPair]
@@ -102,7 +102,7 @@ def _split(boundary: MeshBoundary, whole: Parts) -> tuple[list[int], Parts]:
     sides, count = (pairs.slave, pairs.master), len(whole)
     of_facets = face_colours(pairs.slave), master_colours(pairs.slave, pairs.master)
     numbers = [
-        (1 + extremes(side.comm, colour.astype(float), side.facet_contact, count, -1.0))
+        (1 + largest_of_groups(side.comm, colour.astype(float), side.facet_contact, count, -1.0))
         .astype(int)
         .tolist()
         for side, colour in zip(sides, of_facets, strict=True)

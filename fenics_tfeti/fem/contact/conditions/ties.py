@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.pairing import row_values
-from fenics_tfeti.fem.contact.conditions.summary import angles_between, pairing_summaries
+from fenics_tfeti.fem.contact.conditions.conditions import row_values
+from fenics_tfeti.fem.contact.conditions.mortars import tied_conditions
+from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
 from fenics_tfeti.fem.contact.descriptions.ties import (
@@ -25,17 +26,15 @@ from fenics_tfeti.fem.contact.descriptions.ties import (
     Tie,
     TiedPair,
 )
-from fenics_tfeti.fem.contact.mortar.conditions import tied_conditions
-from fenics_tfeti.fem.contact.mortar.facets import cross, facet_normals
-from fenics_tfeti.fem.contact.rigid.frames import are_same
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations, nearest_rotation
+from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.geometry.normals import facet_normals
+from fenics_tfeti.fem.geometry.vectors import angles_between, cross, nearest_rotation, unit
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.user_data import as_direction, vectors_at
-from fenics_tfeti.feti.system import ContactRows, Subdomain
+from fenics_tfeti.feti.system import ContactRows, Subdomain, are_same
 from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
 from fenics_tfeti.typing import Mask, Numbers, Vector
 

@@ -16,9 +16,9 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.geometry.faceted import FacetedSurface
+from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.tolerances import NO_DIRECTION
 from fenics_tfeti.fem.user_data import as_coordinates, as_direction, as_points, check_positive
 from fenics_tfeti.parallel import raise_collectively

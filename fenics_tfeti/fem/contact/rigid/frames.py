@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
-from fenics_tfeti.feti.system import ContactRows, Subdomain
+from fenics_tfeti.feti.system import ContactRows, Subdomain, are_same
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -308,15 +308,3 @@ def _spring(modes: Vector, stiffness: Vector) -> sp.csr_matrix:
     K, Q = P.T @ stiffness @ P, np.linalg.qr(modes)[0]
     K += np.abs(K.diagonal()).max() * (np.identity(len(Q)) - Q @ Q.T)
     return sp.csr_matrix(0.5 * (K + K.T))
-
-
-def are_same(subdomains: Sequence[Subdomain], others: Sequence[Subdomain]) -> bool:
-    """Tell whether subdomains have the same matrices, nodes and bodies."""
-    return len(subdomains) == len(others) and all(
-        np.array_equal(s.nodes, t.nodes)
-        and np.array_equal(s.coordinates, t.coordinates)
-        and s.body == t.body
-        and s.has_kernel_of(t)
-        and (s.stiffness != t.stiffness).nnz == 0
-        for s, t in zip(subdomains, others, strict=True)
-    )

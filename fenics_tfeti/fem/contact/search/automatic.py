@@ -18,9 +18,9 @@ from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, SelfCont
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw
 from fenics_tfeti.fem.contact.search.opposite import ExteriorFacets, OppositeFacets
 from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
-from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, extremes
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies, find_bodies
+from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
 from fenics_tfeti.fem.topology import distinct_rows
 from fenics_tfeti.fem.user_data import check_positive
@@ -28,6 +28,7 @@ from fenics_tfeti.parallel import (
     Directory,
     concatenate_ranks,
     first_of_rank,
+    largest_of_groups,
     largest_of_ranks,
     raise_collectively,
     send_rows,
@@ -190,9 +191,9 @@ def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) ->
     """
     gap, reach, of_bodies = opposite.gap, opposite.reach, opposite.rows[:, :2].T
     body, count, gaps, reaches = of_bodies.ravel(), len(bodies.names), *np.tile([gap, reach], 2)
-    nearest = -extremes(comm, -gaps, body, count, -np.inf)
+    nearest = -largest_of_groups(comm, -gaps, body, count, -np.inf)
     there = gaps <= nearest[body] + SAME_PLACE * reaches
-    size = extremes(comm, reaches[there], body[there], count, 0.0)
+    size = largest_of_groups(comm, reaches[there], body[there], count, 0.0)
     may_touch: Mask = gap <= size[of_bodies].max(axis=0)
     may_touch |= opposite.cosine >= np.cos(_INCLINED)
     pair = np.max(of_bodies, axis=0) * count + np.min(of_bodies, axis=0)
@@ -246,7 +247,7 @@ def _is_from_slave(comm: MPI.Intracomm, opposite: OppositeFacets) -> Mask:
     every, inverse_of = distinct_rows(concatenate_ranks(comm, pairs))
     first = first_of_rank(comm, len(pairs))[0]
     pair = inverse_of[first + inverse]
-    largest = extremes(comm, values, pair, len(every), 0.0)
+    largest = largest_of_groups(comm, values, pair, len(every), 0.0)
     as_lower, as_higher, lower_is_near, higher_is_near = largest.T
     lower = (as_lower <= (1.0 + RELATIVE_ROUNDING) * as_higher) | (higher_is_near == 0.0)
     lower &= lower_is_near > 0.0

@@ -19,8 +19,8 @@ from fenics_tfeti.fem.contact.conditions.checks import (
     check_different_surfaces,
     check_opposite,
 )
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
 from fenics_tfeti.fem.contact.conditions.ties import TiedPairing, rows_of_tie
@@ -33,11 +33,12 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
     SelfContact,
 )
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_keys, contact_name, free_key
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
-from fenics_tfeti.fem.contact.search.roles import Roles, nodal_stiffness, roles_ratios
+from fenics_tfeti.fem.contact.search.roles import nodal_stiffness, roles_ratios
 from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.decomposition.bodies import Bodies

@@ -10,26 +10,24 @@ import numpy as np
 
 from dolfinx.mesh import Mesh
 
-from fenics_tfeti.fem.contact.mortar.cells import (
+from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
+from fenics_tfeti.fem.contact.surfaces.patches import connected_facets
+from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.geometry.box_tree import BoxTree
+from fenics_tfeti.fem.geometry.cells import (
     Cells,
     MasterTree,
     are_nearest,
     nearest_layers,
     overlapping_cells,
 )
-from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes, facet_normals
-from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths, unit
-from fenics_tfeti.fem.contact.surfaces.nearby import facets_in_boxes
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_corners
-from fenics_tfeti.fem.contact.surfaces.patches import connected_facets
-from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.geometry.facets import Facets, Planes
+from fenics_tfeti.fem.geometry.normals import facet_normals
+from fenics_tfeti.fem.geometry.vectors import edge_lengths, unit
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, SAME_PLACE
-from fenics_tfeti.fem.topology import (
-    batches,
-    cell_facets,
-    exterior_cell_facets,
-)
+from fenics_tfeti.fem.topology import cell_facets, exterior_cell_facets
 from fenics_tfeti.parallel import all_to_all, first_of_rank
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 

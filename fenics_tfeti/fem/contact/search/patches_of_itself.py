@@ -13,9 +13,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
 
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.patches import LEAST_COSINE
+from fenics_tfeti.fem.geometry.normals import facet_normals
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.topology import connected_labels
 from fenics_tfeti.typing import Mask, Numbers, Vector
 

@@ -21,18 +21,19 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
-from fenics_tfeti.fem.contact.mortar.facets import (
+from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
+from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.geometry.box_tree import BoxTree
+from fenics_tfeti.fem.geometry.facets import (
     Planes,
     reference_coordinates,
     shape_functions,
 )
-from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
-from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
-from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
+from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.messages import coordinate_order
-from fenics_tfeti.fem.topology import batches, cell_type, distinct_rows
+from fenics_tfeti.fem.topology import cell_type, distinct_rows
 from fenics_tfeti.parallel import any_rank, concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 

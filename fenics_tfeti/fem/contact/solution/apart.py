@@ -14,12 +14,13 @@ from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
-from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.decomposition.bodies import Bodies
+from fenics_tfeti.fem.geometry.faceted import FacetedSurface
+from fenics_tfeti.fem.geometry.facets import Facets
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.topology import cells_of_facets
 from fenics_tfeti.parallel import any_rank, concatenate_ranks
 from fenics_tfeti.typing import Vector

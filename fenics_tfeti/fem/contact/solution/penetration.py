@@ -13,12 +13,12 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point, warn_user
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.conditions.surface_pairs import user_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface, surface_of
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING, VISIBLE_PENETRATION
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector

@@ -8,13 +8,14 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.conditions.pairing import (
+from fenics_tfeti.fem.contact.conditions.conditions import (
     ContactPairing,
     SlaveValues,
     contact_rows,
     mean_traction,
     row_values,
 )
+from fenics_tfeti.fem.contact.conditions.friction import NodalFriction
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
@@ -23,6 +24,7 @@ from fenics_tfeti.fem.contact.solution.results import (
     BoltResult,
     ContactEntry,
     ContactResult,
+    FrictionResult,
     Results,
     RigidBodyResult,
     TiedResult,
@@ -181,8 +183,27 @@ def _contact_result(
         active=force > 0.0,
         area=pairing.area,
         coverage=pairing.coverage,
-        friction=None if friction is None else friction.result(solution, sites, pairing),
+        friction=(
+            None if friction is None else _friction_result(friction, solution, sites, pairing)
+        ),
         comm=conditions.boundary.nodes.comm,
+    )
+
+
+def _friction_result(
+    friction: NodalFriction, solution: TornSolution, sites: Numbers, pairing: ContactPairing
+) -> FrictionResult:
+    """Return what a solution is at these sites, the conditions of a contact. Collective."""
+    # on the slave forces are against the tangents
+    force, slip = solution.tangential_force[sites], solution.slip[sites]
+    slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
+    return FrictionResult(
+        force=slave_force,
+        traction=pairing.mean_traction(slave_force),
+        bound=solution.slip_bound[sites],
+        slip=np.einsum("kt,kta->ka", slip, friction.tangents),
+        sticking=solution.sticking[sites],
+        work=np.sum(force * slip, axis=1),
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.conditions.pairing import ContactPairing
+from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING

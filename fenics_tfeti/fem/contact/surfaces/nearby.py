@@ -13,11 +13,11 @@ from mpi4py import MPI
 import numpy as np
 from scipy.spatial import cKDTree
 
-from fenics_tfeti.fem.contact.mortar.cells import REACH
-from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.box_tree import BoxTree
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.geometry.box_tree import BoxTree
+from fenics_tfeti.fem.geometry.cells import REACH
+from fenics_tfeti.fem.geometry.facets import Facets
 from fenics_tfeti.parallel import all_to_all
 from fenics_tfeti.typing import Mask, Numbers, Vector
 

@@ -19,8 +19,8 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.surfaces.faceted import unit
 from fenics_tfeti.fem.contact.surfaces.tagged import Surface
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, SAME_PLACE
 from fenics_tfeti.typing import Mask, Numbers, Vector
 

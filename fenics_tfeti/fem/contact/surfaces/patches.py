@@ -12,9 +12,9 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.surfaces.tagged import Surface, extremes
+from fenics_tfeti.fem.contact.surfaces.tagged import Surface
 from fenics_tfeti.fem.topology import connected_labels, distinct_rows
-from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank
+from fenics_tfeti.parallel import Directory, concatenate_ranks, first_of_rank, largest_of_groups
 from fenics_tfeti.typing import Numbers, Vector
 
 # cosine of the angle by which the normals of facets in one smooth face turn at an edge, at most
@@ -60,7 +60,7 @@ def patch_colours(surface: Surface, patch: Numbers, node: Numbers, at_node: Numb
     total = comm.allreduce(int(patch.max(initial=-1)), MPI.MAX) + 1
     x = surface.corners
     ends = np.column_stack([-x.min(axis=1), x.max(axis=1)])
-    places = extremes(comm, ends, patch, total, -np.inf)
+    places = largest_of_groups(comm, ends, patch, total, -np.inf)
     places[:, : x.shape[2]] *= -1.0
     local, at_node = nodes.to_owners(node, at_node)
     rows = distinct_rows(np.column_stack([local, at_node]))[0]

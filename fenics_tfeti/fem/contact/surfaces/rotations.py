@@ -11,25 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.mortar.facets import cross
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
+from fenics_tfeti.fem.geometry.vectors import cross, nearest_rotation
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.typing import Numbers, Vector
-
-
-def nearest_rotation(H: Vector) -> Vector:
-    """Return the rotations nearest to matrices (..., gdim, gdim), in the Frobenius norm.
-
-    Of a plane set of points, which tells no stretch along its normal, it is the proper rotation.
-
-    Examples
-    --------
-    >>> nearest_rotation(np.array([[0.0, -2.0], [0.0, 0.0]])).round(12).tolist()
-    [[0.0, -1.0], [1.0, 0.0]]
-    """
-    left, _, right = np.linalg.svd(H)
-    left[..., -1] *= np.linalg.det(left @ right)[..., None]
-    return left @ right
 
 
 @dataclass(frozen=True)

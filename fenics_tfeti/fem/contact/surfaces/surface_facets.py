@@ -9,9 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
-from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface, unit
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals
+from fenics_tfeti.fem.geometry.faceted import FacetedSurface
+from fenics_tfeti.fem.geometry.facets import Facets
+from fenics_tfeti.fem.geometry.normals import corner_normals
+from fenics_tfeti.fem.geometry.vectors import unit
 from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.typing import Numbers, Vector
 

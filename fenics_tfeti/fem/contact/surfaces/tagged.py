@@ -21,10 +21,11 @@ from ufl.domain import extract_domains
 
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.mortar.facets import Facets
-from fenics_tfeti.fem.contact.surfaces.faceted import edge_lengths
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.geometry.facets import Facets
+from fenics_tfeti.fem.geometry.normals import corner_normals
+from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.messages import WrongPoints, coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
@@ -36,7 +37,7 @@ from fenics_tfeti.fem.topology import (
     vertex_nodes,
 )
 from fenics_tfeti.fem.user_data import VectorField, unit_vectors
-from fenics_tfeti.parallel import concatenate_ranks, raise_collectively
+from fenics_tfeti.parallel import concatenate_ranks, largest_of_groups, raise_collectively
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 
@@ -259,7 +260,7 @@ class Surface:
                 f"{self.labels[bad.contact]}: measure_weight is NaN or infinite around "
                 f"{bad.number} nodes, the first at {bad.place}"
             )
-        largest = extremes(self.comm, np.abs(mean), contact, len(self.names), 0.0)[contact]
+        largest = largest_of_groups(self.comm, np.abs(mean), contact, len(self.names), 0.0)[contact]
         if bad := self.first_wrong(mean <= RELATIVE_ROUNDING * largest, rows):
             raise InputError(
                 f"{self.labels[bad.contact]}: measure_weight is negative or zero around "
@@ -454,7 +455,7 @@ def surface_of(
         boundary, names, role, local + nodes.first, none, area, size, facet_nodes, extent
     )
     coordinates, contact = boundary.coordinates[local], surface.contact
-    extent = extremes(comm, np.abs(coordinates).max(axis=1), contact, len(names), 0.0)
+    extent = largest_of_groups(comm, np.abs(coordinates).max(axis=1), contact, len(names), 0.0)
     normal, area = _normals_and_areas(sums[:, :gdim], surface, user_normal)
     return replace(surface, normal=normal, area=area, extent=extent)
 
@@ -464,16 +465,6 @@ def split(contact: Numbers, values: Array | None, count: int) -> list[Any]:
     if values is None:
         return [None] * count
     return np.split(values, np.searchsorted(contact, np.arange(1, count)))
-
-
-def extremes(
-    comm: MPI.Intracomm, values: Vector, contact: Numbers, contacts: int, initial: float
-) -> Vector:
-    """Return the largest of the values (k, ...) of each contact, over all ranks. Collective."""
-    largest = np.full((contacts, *values.shape[1:]), initial)
-    np.maximum.at(largest, contact, values)
-    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
-    return largest
 
 
 def _normals_and_areas(

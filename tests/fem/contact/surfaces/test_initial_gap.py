@@ -14,7 +14,7 @@ from fenics_tfeti import ContactPair, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import user_gaps
-from fenics_tfeti.fem.contact.surfaces.oriented import chord_heights
+from fenics_tfeti.fem.geometry.normals import chord_heights
 from fenics_tfeti.io import displacement_space
 
 WAYS = (Nearest(), "mortar")

@@ -9,12 +9,12 @@ from scenes import Scene, at
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.mortar.cells import MasterTree
-from fenics_tfeti.fem.contact.mortar.facets import Facets, Planes
-from fenics_tfeti.fem.contact.mortar.integrals import integrate
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.geometry.cells import MasterTree
+from fenics_tfeti.fem.geometry.facets import Facets, Planes
+from fenics_tfeti.fem.geometry.integrals import integrate
 
 COMM = MPI.COMM_WORLD
 

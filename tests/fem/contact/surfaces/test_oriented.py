@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scenes import at, dimension
 
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.contact.surfaces.oriented import corner_normals, oriented_facets, owned_facets
+from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
+from fenics_tfeti.fem.geometry.normals import corner_normals, facet_normals
 from fenics_tfeti.fem.topology import cell_type, exterior_facets
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 

@@ -5,9 +5,9 @@ import pytest
 from moved_blocks import CELLS, blocks, lifted, turned
 from scenes import SLAVE, dimension
 
-from fenics_tfeti.fem.contact.mortar.facets import facet_normals
-from fenics_tfeti.fem.contact.surfaces.faceted import FacetedSurface
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
+from fenics_tfeti.fem.geometry.faceted import FacetedSurface
+from fenics_tfeti.fem.geometry.normals import facet_normals
 
 every_cell = pytest.mark.parametrize("cell", CELLS)
 

@@ -1,0 +1,1 @@
+"""Facets, their intersections and integrals, in NumPy alone: no ranks, no mesh of dolfinx."""

@@ -1,1 +1,0 @@
-"""Newton's method for contact of bodies with finite strains."""

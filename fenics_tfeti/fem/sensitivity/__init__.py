@@ -1,1 +1,0 @@
-"""Derivatives of a solved problem's forms, supports and conditions by their data."""
