@@ -103,7 +103,7 @@ nodes = problem.results[0].gather()
 pressure = nodes.normal_force.sum() / nodes.area.sum()
 spread = np.abs(nodes.pressure / lame - 1).max()
 if mesh.comm.rank == 0:
-    print(problem.report.pairing_table())
+    print(problem.report.matching_table())
     print(f"mean pressure {1e-6 * pressure:.3f} MPa, Lamé {1e-6 * lame:.3f}", end="  ")
     print(f"{pressure / lame - 1:+.2%}, at the nodes within {spread:.2%}")
 

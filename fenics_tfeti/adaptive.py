@@ -162,9 +162,9 @@ def _share(estimate: MeshError, error: float) -> float:
 def _check_surfaces(problem: ContactProblem) -> None:
     """Check that no pair has facets that approximate a curved surface."""
     for entry in problem.report.contacts:
-        pairing = entry.pairing
-        deviation = pairing.get("deviation")
-        if deviation and pairing["discretisation"] == "mortar" and entry.pairing["blurred"]:
+        matching = entry.matching
+        deviation = matching.get("deviation")
+        if deviation and matching["discretisation"] == "mortar" and entry.matching["blurred"]:
             raise InputError(
                 f"adapt: {entry.name!r} is between curved surfaces, whose facets deviate by up to "
                 f"{deviation:.3g} from them. Refined facets do not match, and pressures would "

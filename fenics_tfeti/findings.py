@@ -62,10 +62,10 @@ def apart_findings(solved: SolvedContacts) -> list[str]:
     apart = list[list[FoundContact]]()
     # obstacles of the user may have no value where a failure has left the surfaces
     with suppress(InputError):
-        apart = contacts_apart(solved.conditions, solved.displacement)
+        apart = contacts_apart(solved.contact_set, solved.displacement)
     return [
-        f"{parts[0].pairing.name!r} has not met anything: its surfaces are nowhere opposite each "
-        "other"
+        f"{parts[0].conditions.name!r} has not met anything: its surfaces are nowhere opposite "
+        "each other"
         for parts in apart
     ]
 
@@ -95,10 +95,10 @@ def unaccepted_step(solved: SolvedContacts, u: Vector, before: Vector | None) ->
 
     The displacements (n,) of this rank are those of both solves, if the last was not accepted.
     """
-    contacts = solved.conditions.contacts
+    contacts = solved.contact_set.contacts
     if before is None or all(found.friction is None for found in contacts):
         return []
-    comm = solved.conditions.boundary.nodes.comm
+    comm = solved.contact_set.boundary.nodes.comm
     if largest_of_ranks(comm, np.abs(u - before)) <= _SAME * largest_of_ranks(comm, np.abs(u)):
         return []
     return [
@@ -110,10 +110,10 @@ class _Contacts:
     """The conditions of all contacts of a solution, one contact after the other."""
 
     def __init__(self, solved: SolvedContacts) -> None:
-        self._solved, self._found = solved, solved.conditions.contacts
-        self._nodes = solved.conditions.boundary.nodes
+        self._solved, self._found = solved, solved.contact_set.contacts
+        self._nodes = solved.contact_set.boundary.nodes
         self._comm = self._nodes.comm
-        self._names = {found.number: repr(found.pairing.name) for found in self._found}
+        self._names = {found.number: repr(found.conditions.name) for found in self._found}
         results = solved.contacts
         self._number = self._numbers([result.active.size for result in results])
         self._active = np.concatenate([result.active for result in results])
@@ -133,10 +133,10 @@ class _Contacts:
 
     def without_unknowns(self) -> list[str]:
         """Name contacts with prescribed displacements in all conditions. Collective."""
-        terms = [found.pairing.terms for found in self._found]
-        prescribed = prescribed_components(self._nodes, self._solved.conditions.prescribed)
+        terms = [found.conditions.terms for found in self._found]
+        prescribed = prescribed_components(self._nodes, self._solved.contact_set.prescribed)
         fixed = self._nodes.values_at(prescribed, np.concatenate([t.nodes for t in terms]))
-        normal = np.concatenate([f.pairing.normal[f.pairing.terms.row] for f in self._found])
+        normal = np.concatenate([f.conditions.normal[f.conditions.terms.row] for f in self._found])
         moves = (~fixed & (np.abs(normal) > RELATIVE_ROUNDING)).any(axis=1)
         of_body = [f.on_body is not None or f.rigid_master is not None for f in self._found]
         moves |= np.repeat(of_body, [t.nodes.size for t in terms])
@@ -152,9 +152,9 @@ class _Contacts:
     def overlapping(self, length: str) -> list[str]:
         """Say how far meshes overlap by more than their facets do. Collective."""
         undeformed = [found.undeformed for found in self._found]
-        gap = np.concatenate([pairing.gap for pairing in undeformed])
+        gap = np.concatenate([conditions.gap for conditions in undeformed])
         size = np.concatenate([p.surface.size[p.on_surface] for p in undeformed])
-        sizes = [pairing.gap.size for pairing in undeformed]
+        sizes = [conditions.gap.size for conditions in undeformed]
         number = self._numbers(sizes)
         is_drawn = np.repeat([_has_drawn_gap(found) for found in self._found], sizes)
         deep = is_drawn & (gap < -_OVERLAP * size)
@@ -181,7 +181,7 @@ class _Contacts:
         of_facets = pressing.at_corners(is_deepest).all(axis=1)
         is_even = self._extremes(of_facets.astype(float), pressing.facet_contact, 0.0)
         vertices = 2.0 * deepest - 1.0 + is_even
-        across = self._solved.conditions.boundary.degree * (vertices - 1.0) + 1.0
+        across = self._solved.contact_set.boundary.degree * (vertices - 1.0) + 1.0
         names = [f"{name} ({across[k]:.0f})" for k, name in self._names.items() if told[k]]
         if not names:
             return []
@@ -198,7 +198,7 @@ class _Contacts:
         at a plane of symmetry. Collective.
         """
         pressing = _Pressing.of(self._solved)
-        degree = self._solved.conditions.boundary.degree
+        degree = self._solved.contact_set.boundary.degree
         layers = (_RESOLVED - 1) // (2 * degree)
         depth, near = np.ones(pressing.mask.size), pressing.is_open
         for _ in range(layers):
@@ -217,12 +217,12 @@ class _Contacts:
         body_of = self._nodes.reduced_over_cells(bodies.of_cell, np.minimum)
         size, deepest = bodies.extent.max(axis=1), dict[int, tuple[float, int]]()
         for found in obstacles:
-            pairing = found.undeformed
-            body = body_of[pairing.slave - self._nodes.first]
-            excess = -pairing.gap - size[body]
+            conditions = found.undeformed
+            body = body_of[conditions.slave - self._nodes.first]
+            excess = -conditions.gap - size[body]
             if excess.max(initial=0.0) > 0.0:
                 k = int(excess.argmax())
-                own = (float(-pairing.gap[k]), int(body[k]))
+                own = (float(-conditions.gap[k]), int(body[k]))
                 deepest[found.number] = max(deepest.get(found.number, own), own)
         merged: dict[int, tuple[float, int]] = {}
         for of_rank in self._comm.allgather(deepest):
@@ -268,8 +268,11 @@ class _Pressing:
     @staticmethod
     def of(solved: SolvedContacts) -> _Pressing:
         """Find the facets of all slaves, and what their nodes do. Collective."""
-        found, results = solved.conditions.contacts, solved.contacts
-        mesh_nodes, surfaces = solved.conditions.boundary.nodes, [f.pairing.surface for f in found]
+        found, results = solved.contact_set.contacts, solved.contacts
+        mesh_nodes, surfaces = (
+            solved.contact_set.boundary.nodes,
+            [f.conditions.surface for f in found],
+        )
         numbers = np.array([f.number for f in found])
         facet_contact = np.repeat(numbers, [len(surface.vertices) for surface in surfaces])
         local = np.concatenate([surface.vertices for surface in surfaces])
@@ -304,7 +307,7 @@ class _Pressing:
 
 def _least_opening(solved: SolvedContacts) -> float:
     """Return the opening [m] of nodes that are open, not closed without a force. Collective."""
-    comm = solved.conditions.boundary.nodes.comm
+    comm = solved.contact_set.boundary.nodes.comm
     return _OPEN * largest_of_ranks(comm, np.abs(solved.displacement.x.array))
 
 

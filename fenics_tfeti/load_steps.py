@@ -353,7 +353,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     def _store(
         self,
         solution: TornSolution,
-        conditions: ContactSet,
+        contact_set: ContactSet,
         bodies: RigidBodies,
         is_last: bool = True,
         **report: Any,
@@ -363,7 +363,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         Only of the last one of a solve nodes without a condition are looked at.
         """
         self._solution = solution
-        solved = SolvedContacts.of(conditions, solution, self.u, bodies, bool(self._exact))
+        solved = SolvedContacts.of(contact_set, solution, self.u, bodies, bool(self._exact))
         self._solved = solved = solved.with_penetration() if is_last else solved
         self.results, self.rigid_bodies = solved.as_given(), Results(solved.body_results)
         self._report = self._report_type.of(
@@ -371,7 +371,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             self.results,
             self.options.as_dict(),
             rigid_bodies=solved.body_results,
-            per_length=self.space.mesh.geometry.dim == 2 and conditions.boundary.weight is None,
+            per_length=self.space.mesh.geometry.dim == 2 and contact_set.boundary.weight is None,
             **report,
         )
         self._step = replace(self._step, force=solved.nodal_forces())
@@ -404,10 +404,10 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         if not self._exact:
             return
         solved, error = self._solved if failure is None else None, None
-        conditions = self._torn.undeformed if solved is None else solved.conditions
+        contact_set = self._torn.undeformed if solved is None else solved.contact_set
         # obstacles of the user may have no value where a failure has left the surfaces
         with suppress(InputError):
-            error = wrong_side(conditions, self.u, self._torn.bodies)
+            error = wrong_side(contact_set, self.u, self._torn.bodies)
         if error is not None:
             self._is_solved = False
             raise error from failure

@@ -402,9 +402,9 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             bodies = undeformed.bodies.restored(coarse._step.bodies)
             self._torn.fill(self.u, bodies, is_small=False)
             # areas, and the nodes that meet something, are those of the deformed surfaces
-            conditions = undeformed.deformed(self.u, replace(bodies, from_here=True))[0]
-            force = expected_contact(solved, conditions.pairings).normal_force
-        forces = conditions.slave_values(force)
+            contact_set = undeformed.deformed(self.u, replace(bodies, from_here=True))[0]
+            force = expected_contact(solved, contact_set.all_conditions).normal_force
+        forces = contact_set.slave_values(force)
         self._step = replace(self._step, force=forces, bodies=bodies.saved())
 
     def _store_state(
@@ -419,8 +419,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             state.nodal_displacement,
             iteration.solution,
         )
-        conditions = state.rows.conditions
-        self._store(solution, conditions, state.bodies, is_last, newton=list(iteration.steps))
+        contact_set = state.rows.contact_set
+        self._store(solution, contact_set, state.bodies, is_last, newton=list(iteration.steps))
         self._step = replace(
             self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
         )

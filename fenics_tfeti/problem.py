@@ -462,13 +462,13 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def _solve_linearised(
         self,
-        conditions: ContactSet,
+        contact_set: ContactSet,
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
     ) -> TornSolution:
         """Solve with conditions, and store the results."""
-        system = self._torn.system(self._step.origin, conditions)
-        guess = self._guess(coarse, conditions)
+        system = self._torn.system(self._step.origin, contact_set)
+        guess = self._guess(coarse, contact_set)
         options = self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)
         self._is_restored = False
@@ -477,22 +477,22 @@ class ContactProblem(SteppedProblem[ContactReport]):
         except (NotConverged, Interrupted) as error:
             if error.solution is None:
                 raise
-            error.solution = self._store_results(error.solution, conditions)
+            error.solution = self._store_results(error.solution, contact_set)
             error.report = self.report
             raise
-        self._store_results(solution, conditions, is_last=self.geometry is None)
+        self._store_results(solution, contact_set, is_last=self.geometry is None)
         return solution
 
     def _guess(
-        self, coarse: list[SolvedContact] | None, conditions: ContactSet
+        self, coarse: list[SolvedContact] | None, contact_set: ContactSet
     ) -> ContactGuess | None:
         """Return the contact of a coarse problem, or that of a checkpoint."""
         if coarse is not None:
             with self._timer.phase("coarse contact"):
-                return expected_contact(coarse, conditions.pairings)
+                return expected_contact(coarse, contact_set.all_conditions)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        return self._step.guess(conditions)
+        return self._step.guess(contact_set)
 
     def _solve_exactly(
         self,
@@ -502,20 +502,20 @@ class ContactProblem(SteppedProblem[ContactReport]):
         checkpoint: str | os.PathLike[str] | None,
     ) -> Function:
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
-        conditions, comm = self._first_conditions(), self.space.mesh.comm
-        known = self._is_restored and not conditions.bodies.frames
+        contact_set, comm = self._first_contact_set(), self.space.mesh.comm
+        known = self._is_restored and not contact_set.bodies.frames
         passes = list(self._step.passes) if known else []
         # loads on cells of rigid bodies have other moments where these have turned
-        conditions = replace(conditions, bodies=self._torn.loaded(conditions.bodies))
+        contact_set = replace(contact_set, bodies=self._torn.loaded(contact_set.bodies))
         while True:
             self._step = replace(self._step, passes=passes)
-            solution = self._solve_linearised(conditions, None if passes else coarse, monitor)
-            new_pass = self._geometry_pass(conditions, solution)
+            solution = self._solve_linearised(contact_set, None if passes else coarse, monitor)
+            new_pass = self._geometry_pass(contact_set, solution)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
             is_exact = new_pass.error <= geometry.tolerance
             is_last = is_exact or len(passes) >= geometry.max_passes
             if is_last:
-                self._store_results(solution, conditions)
+                self._store_results(solution, contact_set)
             seconds = self._timer.slowest(comm)
             self._report = replace(self.report, passes=passes, seconds=seconds)
             if is_last:
@@ -523,25 +523,27 @@ class ContactProblem(SteppedProblem[ContactReport]):
             self._step = replace(self._step, passes=passes)
             self._save(checkpoint)
             assert self._deformed is not None
-            conditions = self._deformed
+            contact_set = self._deformed
 
-    def _geometry_pass(self, conditions: ContactSet, solution: TornSolution) -> GeometryPass:
+    def _geometry_pass(self, contact_set: ContactSet, solution: TornSolution) -> GeometryPass:
         """Measure the deformed surfaces, with the conditions for the next pass, and the misfit."""
         assert self._solved is not None
         uh, origin, forces = self.u, self._step.origin, (0.0, 0.0)
         with self._timer.phase("deformed surfaces"):
             bodies = self._torn.loaded(self._solved.bodies)
-            deformed, measured = conditions.deformed(uh, bodies)
+            deformed, measured = contact_set.deformed(uh, bodies)
             self._deformed = deformed.with_friction(uh)
-            if bodies.frames or any(found.friction is not None for found in conditions.contacts):
-                before, now = (DeformedRows.of(c, uh, origin) for c in (conditions, self._deformed))
+            if bodies.frames or any(found.friction is not None for found in contact_set.contacts):
+                before, now = (
+                    DeformedRows.of(c, uh, origin) for c in (contact_set, self._deformed)
+                )
                 multipliers = Multipliers.of(before, solution)
                 rounding = Rounding.of(self._torn.torn.subdomains, self._torn.nodes)
                 forces = misfit_of_forces(now, multipliers, owned_values(uh), rounding)
         products = self.report.products["total"]
         return geometry_pass(measured, self._solved.contacts, uh, products, *forces)
 
-    def _first_conditions(self) -> ContactSet:
+    def _first_contact_set(self) -> ContactSet:
         """Return the conditions where the last solution ended, nearer than the undeformed ones."""
         undeformed, last = self._torn.undeformed, self._deformed
         if self._is_restored and not undeformed.bodies.frames:
@@ -571,12 +573,12 @@ class ContactProblem(SteppedProblem[ContactReport]):
         return uh
 
     def _store_results(
-        self, solution: TornSolution, conditions: ContactSet, is_last: bool = True
+        self, solution: TornSolution, contact_set: ContactSet, is_last: bool = True
     ) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
-        bodies = conditions.bodies.moved(conditions.motions_after(solution.displacements))
+        bodies = contact_set.bodies.moved(contact_set.motions_after(solution.displacements))
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
-        self._store(solution, conditions, bodies, is_last)
+        self._store(solution, contact_set, bodies, is_last)
         self._step = replace(self._step, displacement=owned_values(uh))
         return uh
 

@@ -1,4 +1,4 @@
-"""The report of a contact problem: that of the solver, the pairing and the geometry passes."""
+"""The report of a contact problem: that of the solver, the matching and the geometry passes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class ContactReport(Report):
         One entry for each solution with exact non-penetration; products and history of the report
         are those of the last one, its seconds those of all passes.
     contacts : sequence of ContactEntry
-        Forces, moments, the work of friction and the pairing of each contact and tied pair.
+        Forces, moments, the work of friction and the matching of each contact and tied pair.
     rigid_bodies : list of RigidBodyResult
         Motion of each rigid body, and the forces on it.
     to_check : tuple of str
@@ -76,8 +76,8 @@ class ContactReport(Report):
         return cls(**{**vars(report), **added, **more})
 
     def __str__(self) -> str:
-        """Return what to check, the pairing of the first contacts and the main figures as lines."""
-        head, *table = self.pairing_table().splitlines()
+        """Return as lines what to check, how the first contacts were matched, and main figures."""
+        head, *table = self.matching_table().splitlines()
         table = [head, *first_few(table, FEW_LINES, "contacts")] if table else []
         roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
         roles = first_few(roles, FEW_LINES, "contacts")
@@ -143,11 +143,11 @@ class ContactReport(Report):
                 page = report_page(without_nan(self.to_dict()), title, scene)
                 write_whole(path, "the page", lambda file: file.write(page.encode()))
 
-    def pairing_table(self) -> str:
-        """Return the pairing of each contact as a table to read, a line for each."""
+    def matching_table(self) -> str:
+        """Return the matching of each contact as a table to read, a line for each."""
         length = f"[{self.units.length}]"
         rows = [[title.replace("[L]", length) for title in _COLUMNS.values()]]
-        rows += [[_word(entry.pairing[key]) for key in _COLUMNS] for entry in self.contacts]
+        rows += [[_word(entry.matching[key]) for key in _COLUMNS] for entry in self.contacts]
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         return "\n".join(
             "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])

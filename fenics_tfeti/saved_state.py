@@ -12,7 +12,7 @@ from dataclasses import astuple, dataclass, field, fields, replace
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import SlaveValues
+from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass
@@ -54,16 +54,18 @@ class Step:
         origin = SlipOrigin(self.displacement, obstacles)
         return replace(self, origin=origin, number=self.number + 1)
 
-    def guess(self, conditions: ContactSet) -> ContactGuess:
+    def guess(self, contact_set: ContactSet) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
-        force = conditions.at_conditions(self.force)
+        force = contact_set.at_conditions(self.force)
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 
-def write_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet, step: Step) -> None:
+def write_step(
+    path: str | os.PathLike[str], kind: str, contact_set: ContactSet, step: Step
+) -> None:
     """Write a checkpoint of a kind of problem on rank 0, or leave the old one. Collective."""
-    nodes = conditions.boundary.nodes
-    parts = nodes.comm.gather(_arrays(step, nodes, conditions.histories))
+    nodes = contact_set.boundary.nodes
+    parts = nodes.comm.gather(_arrays(step, nodes, contact_set.histories))
     with raise_collectively(nodes.comm):
         if parts is not None:
             arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
@@ -74,7 +76,7 @@ def write_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet, 
             bodies = [*step.bodies.values()]
             arrays |= {
                 "problem": np.array([kind]),
-                "contacts": np.array(conditions.histories, dtype=np.str_),
+                "contacts": np.array(contact_set.histories, dtype=np.str_),
                 "number": np.array(step.number),
                 "load": np.array([step.load, step.length, step.end]),
                 "easy": np.array(step.easy),
@@ -104,29 +106,29 @@ def _arrays(step: Step, nodes: NodeMap, keys: Sequence[str]) -> dict[str, Array]
     return arrays
 
 
-def read_step(path: str | os.PathLike[str], kind: str, conditions: ContactSet) -> Step:
+def read_step(path: str | os.PathLike[str], kind: str, contact_set: ContactSet) -> Step:
     """Read the part of this rank from a checkpoint of the same kind of problem. Collective.
 
     It is of the same mesh and has the same contacts, in any order.
     """
-    nodes = conditions.boundary.nodes
+    nodes = contact_set.boundary.nodes
     own = nodes.input_numbers  # collective
     with raise_collectively(nodes.comm), open_arrays(path, _FORMAT) as file:
-        step = _read(file, kind, conditions, own)
+        step = _read(file, kind, contact_set, own)
     return step
 
 
-def _read(file: ArrayFile, kind: str, conditions: ContactSet, own: Numbers) -> Step:
-    nodes = conditions.boundary.nodes
+def _read(file: ArrayFile, kind: str, contact_set: ContactSet, own: Numbers) -> Step:
+    nodes = contact_set.boundary.nodes
     coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
     rows = positions(numbers, own)
     _check_same(file, "kinds", file.strings("problem"), [kind])
     keys = file.strings("contacts")
-    _check_same(file, "contacts", keys, conditions.histories)
+    _check_same(file, "contacts", keys, contact_set.histories)
     bodies = _bodies(file)
     if bodies:
-        _check_same(file, "rigid bodies", [*bodies], [f.key for f in conditions.bodies.frames])
+        _check_same(file, "rigid bodies", [*bodies], [f.key for f in contact_set.bodies.frames])
     if np.any(rows < 0) or numbers.size != nodes.total:
         raise _of_another_problem(file, "nodes")
 

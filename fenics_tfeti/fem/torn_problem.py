@@ -17,7 +17,7 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.checks.mesh import check_mesh
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
+from fenics_tfeti.fem.contact.conditions.ties import TiedConditions
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
@@ -139,7 +139,7 @@ class TornProblem:
         return self._search.left_inside(uh)
 
     def found_anew(
-        self, contacts: Sequence[Contact | Tie], kept: Mapping[int, TiedPairing] | None = None
+        self, contacts: Sequence[Contact | Tie], kept: Mapping[int, TiedConditions] | None = None
     ) -> ContactSet:
         """Return the conditions of contacts on the nodes as they are now. Collective.
 
@@ -193,29 +193,29 @@ class TornProblem:
         pairs = ((getattr(before, k), getattr(now, k)) for k in ("nodes", "components", "values"))
         return not any_rank(self.nodes.comm, [not np.array_equal(*pair) for pair in pairs])
 
-    def system(self, origin: SlipOrigin, conditions: ContactSet | None = None) -> TornSystem:
+    def system(self, origin: SlipOrigin, contact_set: ContactSet | None = None) -> TornSystem:
         """Return the torn system, with slip counted from its origin. Collective."""
-        conditions = conditions or self.undeformed
-        return self.system_of(conditions, conditions.friction_rows(origin))
+        contact_set = contact_set or self.undeformed
+        return self.system_of(contact_set, contact_set.friction_rows(origin))
 
-    def system_of(self, conditions: ContactSet, friction: Friction) -> TornSystem:
+    def system_of(self, contact_set: ContactSet, friction: Friction) -> TornSystem:
         """Return the torn system with contacts and friction. Collective."""
         return TornSystem(
-            [*self.torn.subdomains, *conditions.added_subdomains(self.bodies.deformable)],
-            conditions.prescribed,
-            conditions.rows(),
+            [*self.torn.subdomains, *contact_set.added_subdomains(self.bodies.deformable)],
+            contact_set.prescribed,
+            contact_set.rows(),
             self.space.mesh.geometry.dim,
-            [*self.bodies.names[: self.bodies.deformable], *conditions.added_names],
-            conditions.names,
+            [*self.bodies.names[: self.bodies.deformable], *contact_set.added_names],
+            contact_set.names,
             self.nodes.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
-            conditions.tied_rows(),
+            contact_set.tied_rows(),
             friction,
         )
 
-    def tangents(self, conditions: ContactSet) -> list[Subdomain]:
+    def tangents(self, contact_set: ContactSet) -> list[Subdomain]:
         """Return the subdomains with the present tangents and bodies. Collective."""
-        return [*self.torn.assemble(), *conditions.added_subdomains(self.bodies.deformable)]
+        return [*self.torn.assemble(), *contact_set.added_subdomains(self.bodies.deformable)]
 
     def spread(
         self, subdomains: Sequence[Subdomain], force: Vector, beyond: Vector

@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.conditions.conditions import row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.feti import Subdomain
 from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem
@@ -103,8 +103,8 @@ class ContactHessian:
         M balances are given, to which E is added. Collective.
         """
         load_step, face, nodes = self.load_step, self.face, self.load_step.torn.nodes
-        bodies = face.rows.conditions.bodies
-        end = face.rows.conditions.motions_after(change.displacements)
+        bodies = face.rows.contact_set.bodies
+        end = face.rows.contact_set.motions_after(change.displacements)
         motions = [b - a for a, b in zip(begin, end, strict=True)]
         d = load_step.torn.at_owned_nodes(change.displacements)
         increment = np.concatenate([d, bodies.as_vector(motions)])
@@ -133,13 +133,13 @@ class ContactHessian:
         A step has all of the shortening as its unknown.
         """
         nodes, tied = self.load_step.torn.nodes, self.face.rows.tied
-        bolts = self.face.rows.conditions.bolt_displacements(change.displacements)
+        bolts = self.face.rows.contact_set.bolt_displacements(change.displacements)
         still = np.zeros(nodes.owned * nodes.components)
         return row_values(nodes, tied, still, bolts) / tied.length
 
     def _moved(self, motions: Sequence[Vector]) -> RigidBodies:
         """Return the bodies with other motions, and rotations as they are."""
-        bodies = self.face.rows.conditions.bodies
+        bodies = self.face.rows.contact_set.bodies
         frames = [replace(f, motion=m) for f, m in zip(bodies.frames, motions, strict=True)]
         return replace(bodies, frames=frames)
 
@@ -204,7 +204,7 @@ class ContactHessian:
         jumps = self._tied_gap - self._shortened(first)
         at_nodes = self._flat(balance[0], self._gap, jumps, np.zeros_like(balance[1]))
         size = self._space.norm(at_nodes)
-        begin = self.face.rows.conditions.bodies.motions
+        begin = self.face.rows.contact_set.bodies.motions
         return self._improved(first, right, balance[1], begin, (rtol, size, negligible))
 
     def response(self, load: Vector, gap: Vector, tied_gap: Vector, beyond: Vector) -> Change:
@@ -221,7 +221,7 @@ class ContactHessian:
     @property
     def _at_rest(self) -> list[Vector]:
         """The motions of bodies without displacement."""
-        return self.face.rows.conditions.motions_after([np.zeros(s.size) for s in self.used])
+        return self.face.rows.contact_set.motions_after([np.zeros(s.size) for s in self.used])
 
     def _improved(
         self,
@@ -295,10 +295,10 @@ class ContactHessian:
 
     def gaps_after(self, change: Change) -> Vector:
         """Return the gaps (k,) of the contact rows after a change, to first order. Collective."""
-        conditions, nodes = self.face.rows.conditions, self.load_step.torn.nodes
+        contact_set, nodes = self.face.rows.contact_set, self.load_step.torn.nodes
         d = self.load_step.torn.at_owned_nodes(change.displacements)
         pairs = zip(
-            conditions.bodies.motions, conditions.motions_after(change.displacements), strict=True
+            contact_set.bodies.motions, contact_set.motions_after(change.displacements), strict=True
         )
         moved = self._moved([end - begin for begin, end in pairs])
         rows, free = self.face.rows.contacts, moved.free_displacements(nodes.total)

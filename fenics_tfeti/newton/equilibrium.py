@@ -15,7 +15,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point
-from fenics_tfeti.fem.contact.conditions.conditions import SlaveValues, row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues, row_values
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.displacement import owned_values, prescribed_components
@@ -32,24 +32,24 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 class DeformedRows:
     """The conditions of surfaces deformed by u, with gaps and slips for an increment of u."""
 
-    conditions: ContactSet
+    contact_set: ContactSet
     contacts: ContactRows
     friction: Friction
     tied: ContactRows
 
     @staticmethod
-    def of(conditions: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
+    def of(contact_set: ContactSet, uh: Function, origin: SlipOrigin) -> DeformedRows:
         """Return those of conditions of the deformed surfaces. Collective.
 
         Slip is that from the origin to u and to where the rigid bodies are.
         """
-        nodes, u = conditions.boundary.nodes, owned_values(uh)
-        contacts, tied = conditions.rows(), conditions.tied_rows()
-        free = conditions.bodies.free_displacements(nodes.total)
+        nodes, u = contact_set.boundary.nodes, owned_values(uh)
+        contacts, tied = contact_set.rows(), contact_set.tied_rows()
+        free = contact_set.bodies.free_displacements(nodes.total)
         moved = row_values(nodes, contacts, u, free)
-        here = replace(conditions, bodies=replace(conditions.bodies, from_here=True))
+        here = replace(contact_set, bodies=replace(contact_set.bodies, from_here=True))
         return DeformedRows(
-            conditions,
+            contact_set,
             replace(contacts, gap=contacts.gap - moved),
             here.friction_rows(origin, u),
             replace(tied, gap=tied.gap - row_values(nodes, tied, u, free)),
@@ -58,16 +58,16 @@ class DeformedRows:
     @property
     def surface_nodes(self) -> Numbers:
         """The global nodes (s,) of the slaves' surfaces, one contact after the other."""
-        nodes = [pairing.surface.nodes for pairing in self.conditions.pairings]
+        nodes = [conditions.surface.nodes for conditions in self.contact_set.all_conditions]
         return np.concatenate([np.zeros(0, dtype=np.int64), *nodes])
 
     @cached_property
     def place(self) -> Numbers:
         """The place of each row's slave node among `surface_nodes` (k,)."""
         first, places = 0, [np.zeros(0, dtype=np.int64)]
-        for pairing in self.conditions.pairings:
-            places.append(first + pairing.on_surface)
-            first += pairing.surface.nodes.size
+        for conditions in self.contact_set.all_conditions:
+            places.append(first + conditions.on_surface)
+            first += conditions.surface.nodes.size
         return np.concatenate(places)
 
     @property
@@ -133,7 +133,7 @@ class DeformedRows:
 
         With it that at the nodes (b, gdim) beyond those of the mesh, of rigid bodies and bolts.
         """
-        nodes, site = self.conditions.boundary.nodes, self.friction.row
+        nodes, site = self.contact_set.boundary.nodes, self.friction.row
         normal = self.normal_forces(multipliers)
         terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
         if site.size:
@@ -147,7 +147,7 @@ class DeformedRows:
         )
         in_mesh = at < nodes.total
         last = nodes.comm.allreduce(int(at.max(initial=-1)), MPI.MAX)
-        corners = len(self.conditions.bodies.free_displacements(nodes.total))
+        corners = len(self.contact_set.bodies.free_displacements(nodes.total))
         beyond = np.zeros((max(corners, last + 1 - nodes.total), nodes.components))
         np.add.at(beyond, at[~in_mesh] - nodes.total, forces[~in_mesh])
         nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
@@ -172,7 +172,7 @@ class Multipliers:
     @staticmethod
     def none(rows: DeformedRows) -> Multipliers:
         """Return zeros; friction holds all nodes."""
-        size, gdim = rows.surface_nodes.size, rows.conditions.boundary.nodes.components
+        size, gdim = rows.surface_nodes.size, rows.contact_set.boundary.nodes.components
         no = np.zeros(size, dtype=bool)
         return Multipliers(np.zeros(size), np.zeros((size, gdim)), np.zeros(rows.tied.size), no, no)
 
@@ -202,7 +202,7 @@ class Multipliers:
     def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
         """Return those of normal forces (k,) alone [N]."""
         new = Multipliers.none(rows)
-        new.normal[rows.place] = rows.conditions.at_conditions(force) / rows.contacts.length
+        new.normal[rows.place] = rows.contact_set.at_conditions(force) / rows.contacts.length
         return new
 
 
@@ -239,7 +239,7 @@ class Equilibrium:
         The internal forces (nodes, gdim), less loads, are F(u) at the nodes that this rank owns.
         The residual is relative to a least force [N] or more.
         """
-        nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
+        nodes, prescribed = rows.contact_set.boundary.nodes, rows.contact_set.prescribed
         contact, on_bodies = rows.force(multipliers)
         free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
         size = largest_of_ranks(nodes.comm, np.abs(displacement))
@@ -273,7 +273,7 @@ def out_of_balance(
     forces: Vector, rows: DeformedRows, displacement: float, rounding: Rounding
 ) -> Vector:
     """Return nodal forces (owned, gdim), but none that supports carry or that are rounding [N]."""
-    nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
+    nodes, prescribed = rows.contact_set.boundary.nodes, rows.contact_set.prescribed
     free = ~prescribed_components(nodes, prescribed)[: nodes.owned]
     counts = free & (np.abs(forces) > rounding.internal_forces(displacement)[:, None])
     return np.where(counts, forces, 0.0)
@@ -287,9 +287,9 @@ def _left_on_bodies(
     What rounding leaves of all contact forces together is none on a body without more load. Forces
     on a body with a load are found together with what they balance, whatever the load.
     """
-    nodes, gdim = rows.conditions.boundary.nodes, rows.conditions.boundary.nodes.components
+    nodes, gdim = rows.contact_set.boundary.nodes, rows.contact_set.boundary.nodes.components
     left, load = (
-        rows.conditions.bodies.free_forces(forces, nodes.total).reshape(-1, gdim * (gdim + 1))
+        rows.contact_set.bodies.free_forces(forces, nodes.total).reshape(-1, gdim * (gdim + 1))
         for forces in (-on_bodies, 0.0 * on_bodies)
     )
     slaves = rows.surface_nodes - nodes.first
@@ -309,7 +309,10 @@ def _broken_friction(
 
     Slips are times a force over the largest displacement.
     """
-    nodes, stiffness = rows.conditions.boundary.nodes, force / displacement if displacement else 0.0
+    nodes, stiffness = (
+        rows.contact_set.boundary.nodes,
+        force / displacement if displacement else 0.0,
+    )
     excess = rows.excess(multipliers, stiffness, rounding.length(displacement))
     slaves = rows.surface_nodes[rows.place[rows.friction.row]] - nodes.first
     excess = excess[excess > rounding.contact_forces(displacement)[slaves]]
@@ -332,7 +335,7 @@ def misfit_of_forces(
     The first is what acts on the bodies where they are now, the second as of `Equilibrium`. Both
     are relative to the contact forces and loads of rigid bodies.
     """
-    nodes, bodies = rows.conditions.boundary.nodes, rows.conditions.bodies
+    nodes, bodies = rows.contact_set.boundary.nodes, rows.contact_set.bodies
     contact, on_bodies = rows.force(multipliers)
     loads = bodies.free_forces(0.0 * on_bodies, nodes.total)
     pressing = np.sqrt(nodes.comm.allreduce(float(np.sum(contact**2))))

@@ -72,7 +72,7 @@ class Face:
         sites = held[friction.row]
         turns = sites & slips & (friction.tangents.shape[1] > 1)
         slid, begins = multipliers.slid[at], slips & ~multipliers.slid[at]
-        comm = rows.conditions.boundary.nodes.comm
+        comm = rows.contact_set.boundary.nodes.comm
         spreads = any_rank(comm, sites & begins) and any_rank(comm, sites & slid)
         if has_settled and spreads:
             turns |= sites & ~slips

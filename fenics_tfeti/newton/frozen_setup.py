@@ -40,7 +40,7 @@ class FrozenSetup:
         self, load_step: LoadStep, state: NewtonState, face: Face, spent: Spent
     ) -> ContactHessian:
         """Return the derivative on the face of a state, with this set-up as M. Collective."""
-        exact = load_step.torn.tangents(face.rows.conditions)
+        exact = load_step.torn.tangents(face.rows.contact_set)
         base = self.face, self.linear, self.used
         return ContactHessian(load_step, state.displacement, face, exact, *base, spent)
 
@@ -83,4 +83,4 @@ class FrozenSetup:
         face = hessian.face
         closed = hessian.gaps_after(change) < -depth
         differ = (closed & ~face.held) | face.pulling(change.forces.normal)
-        return not any_rank(face.rows.conditions.boundary.nodes.comm, differ)
+        return not any_rank(face.rows.contact_set.boundary.nodes.comm, differ)

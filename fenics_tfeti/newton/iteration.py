@@ -180,7 +180,7 @@ class NewtonIteration:
         # it has the shortenings of bolts, which no state has
         self.solution = replace(self.solution, displacements=list(change.displacements))
         bodies, start = state.bodies, state.bodies.motions
-        motions = state.rows.conditions.motions_after(change.displacements)
+        motions = state.rows.contact_set.motions_after(change.displacements)
         turned = [end - begin for begin, end in zip(start, motions, strict=True)]
         torn = self._load_step.torn
         fill_displacement(self._increment, torn.torn.subdomains, change.displacements)
@@ -410,7 +410,7 @@ class NewtonIteration:
 
     def _worst_contact(self, state: NewtonState) -> str:
         """Name the contact whose surfaces are farthest from touching, if any. Collective."""
-        rows, names = state.rows, state.rows.conditions.names
+        rows, names = state.rows, state.rows.contact_set.names
         pressing = state.multipliers.normal[rows.place] > 0.0
         distance = np.where(pressing, np.abs(rows.distance), -rows.distance)
         is_wrong = np.isfinite(distance)

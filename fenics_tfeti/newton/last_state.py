@@ -27,8 +27,8 @@ def solution_at(
     The report has their sums, and reactions that balance them and the internal forces less loads
     (owned, gdim) at a displacement (owned, gdim).
     """
-    conditions, friction = rows.conditions, rows.friction
-    nodes, place = conditions.boundary.nodes, rows.place[friction.row]
+    contact_set, friction = rows.contact_set, rows.friction
+    nodes, place = contact_set.boundary.nodes, rows.place[friction.row]
     normal, tied = rows.normal_forces(multipliers), multipliers.tied
     tangential = rows.friction_forces(multipliers)
     sticking = ~multipliers.slipping[place]
@@ -38,10 +38,10 @@ def solution_at(
     unknowns = np.setdiff1d(beyond[beyond >= nodes.total], _corners(rows)[0])
     forces = RowForces.of(rows.contacts, rows.tied, friction, (normal, tied, tangential), unknowns)
     contact = rows.contacts.contact[friction.row]
-    work = np.zeros(len(conditions.names))
+    work = np.zeros(len(contact_set.names))
     np.add.at(work, contact, np.sum(tangential * slip, axis=1))
     points = _points(rows, x, forces.rows.nodes)
-    contacts = forces.of_contacts(rows.contacts, conditions.names, points, work, nodes.comm)
+    contacts = forces.of_contacts(rows.contacts, contact_set.names, points, work, nodes.comm)
     supports = internal + rows.force(multipliers)[0]
     names = [reaction.name for reaction in last.report.reactions]
     report = replace(last.report, contacts=contacts, reactions=_reactions(rows, x, supports, names))
@@ -60,7 +60,7 @@ def solution_at(
 
 def _corners(rows: DeformedRows) -> tuple[Numbers, Vector]:
     """Return the numbers (c,) of the corners of rigid bodies, and where they are (c, gdim)."""
-    bodies = rows.conditions.bodies
+    bodies = rows.contact_set.bodies
     numbers = [np.zeros(0, dtype=np.int64), *(frame.nodes for frame in bodies.frames)]
     places = [np.zeros((0, bodies.gdim)), *(frame.corners for frame in bodies.frames)]
     return np.concatenate(numbers), np.concatenate(places)
@@ -71,7 +71,7 @@ def _points(rows: DeformedRows, x: Vector, numbers: Numbers) -> Vector:
 
     Those of the mesh are at x (owned, gdim).
     """
-    nodes, (corners, places) = rows.conditions.boundary.nodes, _corners(rows)
+    nodes, (corners, places) = rows.contact_set.boundary.nodes, _corners(rows)
     points = np.zeros((numbers.size, nodes.components))
     in_mesh, on_bodies = numbers < nodes.total, np.isin(numbers, corners)
     points[in_mesh] = nodes.values_at(x, numbers[in_mesh])
@@ -85,7 +85,7 @@ def _reactions(
     rows: DeformedRows, x: Vector, supports: Vector, names: list[str]
 ) -> list[Resultant]:
     """Return the sums of forces (owned, gdim) of each Dirichlet condition. Collective."""
-    nodes, prescribed = rows.conditions.boundary.nodes, rows.conditions.prescribed
+    nodes, prescribed = rows.contact_set.boundary.nodes, rows.contact_set.prescribed
     gdim, number = nodes.components, np.asarray(prescribed.condition, dtype=np.int64)
     # of several conditions for one displacement the last one counts
     columns = np.full((number.size, gdim), -1)

@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import NotConverged
-from fenics_tfeti.fem.contact.conditions.conditions import SlaveValues
+from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, prescribed_components
@@ -44,7 +44,7 @@ class NewtonState:
     @property
     def bodies(self) -> RigidBodies:
         """The rigid bodies where they are."""
-        return self.rows.conditions.bodies
+        return self.rows.contact_set.bodies
 
     @property
     def nodal_displacement(self) -> Vector:
@@ -112,11 +112,11 @@ class LoadStep:
 
     def _rows(self, uh: Function, bodies: RigidBodies, last: DeformedRows | None) -> DeformedRows:
         """Return the rows of the surfaces deformed by a displacement, near the last ones."""
-        before = None if last is None else last.conditions
+        before = None if last is None else last.contact_set
         here = replace(bodies, from_here=True)
-        conditions = self.torn.undeformed.deformed(uh, here, before)[0]
-        conditions = conditions.with_friction(uh).with_turned_ties(uh)
-        return DeformedRows.of(conditions, uh, self.origin)
+        contact_set = self.torn.undeformed.deformed(uh, here, before)[0]
+        contact_set = contact_set.with_friction(uh).with_turned_ties(uh)
+        return DeformedRows.of(contact_set, uh, self.origin)
 
     @cached_property
     def slip_stiffness(self) -> float:
@@ -142,7 +142,7 @@ class LoadStep:
 
         The coordinates are the deformed ones, and stiffness matrices are tangents there.
         """
-        torn, contacts = self.torn, face.rows.conditions
+        torn, contacts = self.torn, face.rows.contact_set
         values, nodes, prescribed = torn.nodes.values(self.u), torn.nodes, contacts.prescribed
         subdomains = torn.torn.assemble()
         for i, s in enumerate(subdomains):
@@ -165,7 +165,7 @@ class LoadStep:
     def at_free(self, force: Vector, rows: DeformedRows) -> Vector:
         """Return nodal forces (owned, gdim), zero where displacements are prescribed [N]."""
         nodes = self.torn.nodes
-        fixed = prescribed_components(nodes, rows.conditions.prescribed)[: nodes.owned]
+        fixed = prescribed_components(nodes, rows.contact_set.prescribed)[: nodes.owned]
         return np.where(fixed, 0.0, force)
 
     def _size(self, state: NewtonState) -> float:

@@ -106,7 +106,7 @@ class Adjoint:
                 f"derivatives are infinite. Of dJ/du as a load: {error}"
             ) from None
         self.z, self._motions = state.displacement(solution, "z")
-        self._shortenings = state.conditions.shortenings(solution.displacements)
+        self._shortenings = state.contact_set.shortenings(solution.displacements)
         self._solution = solution
 
     def _solved(self) -> LinearSolution:
@@ -170,7 +170,7 @@ class Adjoint:
         state, space = self._state, self._state.forms.u.function_space
         check_parameter(m)
         bcs = state.torn.bcs
-        dofs, entries = prescribed_entries(space, bcs, state.conditions.prescribed, m)
+        dofs, entries = prescribed_entries(space, bcs, state.contact_set.prescribed, m)
         is_support = any_rank(space.mesh.comm, [dofs.size > 0])
         check_dependence(m, is_support or state.forms.depend_on(m))
         reaction = self.by_supports() if is_support else np.zeros(0)
@@ -206,7 +206,7 @@ class Adjoint:
         forces = self._solution.forces
         if tie := self._state.tie_of(name):
             found, own = tie
-            return -found.pairing.forces(forces.tied[own])
+            return -found.conditions.forces(forces.tied[own])
         return forces.normal[self._state.rows_of(name)]
 
     def by_preload(self, name: str | int) -> float:
@@ -216,7 +216,7 @@ class Adjoint:
         """
         self._state.check_current()
         tie, comm = self._state.tie_of(name), self._state.torn.nodes.comm
-        preload = tie[0].pairing.preload if tie else None
+        preload = tie[0].conditions.preload if tie else None
         if preload is None:
             raise InputError(f"contact {name!r} is no bolt, a BoltPreload")
         if preload.body is None:
@@ -231,7 +231,9 @@ class Adjoint:
         """
         self._state.check_current()
         own = self._state.rows_of(name)
-        areas = np.concatenate([np.zeros(0), *(p.area for p in self._state.conditions.pairings)])
+        areas = np.concatenate(
+            [np.zeros(0), *(p.area for p in self._state.contact_set.all_conditions)]
+        )
         return self._by_bound(name) * areas[own]
 
     def by_coefficient(self, name: str | int) -> Vector:
@@ -264,7 +266,7 @@ class Adjoint:
         """
         self._state.check_current()
         state, number = self._state, self._number_of(body)
-        bodies = state.conditions.bodies
+        bodies = state.contact_set.bodies
         frame, first = bodies.frames[number], state.torn.nodes.total
         at_corners = state.body_forces(state.linear.system, self._solution.forces)
         work = frame.work(at_corners[frame.nodes - first])
@@ -273,7 +275,7 @@ class Adjoint:
         return on_cells - frame.body.stiffness @ self._motions[number] - work
 
     def _number_of(self, body: str | int) -> int:
-        names = self._state.conditions.bodies.names
+        names = self._state.contact_set.bodies.names
         if body not in names and body not in range(len(names)):
             raise InputError(f"there is no rigid body {body!r}; there are {names}")
         return names.index(body) if body in names else int(body)
@@ -356,7 +358,7 @@ class Adjoint:
     def _by_all_nodes(self, domain: Mesh, step: float) -> Function:
         state, space = self._state, places_space(domain)
         rows_at = self._rows_on_moved_nodes(one_by_one=True)
-        of_rows = derivative_by_places(state.conditions, space, rows_at, step)
+        of_rows = derivative_by_places(state.contact_set, space, rows_at, step)
         of_forms = by_places(state.forms.work(self.z), domain)
         return fill_owned(Function(space, name="dJ/dx"), of_forms + of_rows.ravel())
 
@@ -434,7 +436,7 @@ class Adjoint:
                 ),
             ),
         )
-        of_z = state.conditions.bodies.moved(self._motions)
+        of_z = state.contact_set.bodies.moved(self._motions)
         u = other.jumps(owned_values(state.forms.u), state.solved.bodies)
         z = other.jumps(owned_values(self.z), of_z)
         origin, on = np.asarray(friction.slip), state.linear.active

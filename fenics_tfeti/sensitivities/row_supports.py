@@ -203,8 +203,10 @@ def _row_nodes(
 ) -> tuple[Numbers, Numbers, int]:
     """Return rows and global nodes of the mesh of the terms of this rank's rows; how many rows."""
     of_space = found.boundary.nodes
-    terms = [(p.terms.row, p.terms.nodes, p.terms.slaves.size) for p in found.pairings]
-    terms += [(t.pairing.rows.row, t.pairing.rows.nodes, t.pairing.rows.size) for t in found.ties]
+    terms = [(p.terms.row, p.terms.nodes, p.terms.slaves.size) for p in found.all_conditions]
+    terms += [
+        (t.conditions.rows.row, t.conditions.rows.nodes, t.conditions.rows.size) for t in found.ties
+    ]
     none = np.zeros(0, dtype=np.int64)
     rows, numbers, first = [none], [none], 0
     for row, number, count in terms:

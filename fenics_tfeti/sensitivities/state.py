@@ -11,9 +11,9 @@ import numpy as np
 from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.conditions.ties import TiedPairing
+from fenics_tfeti.fem.contact.conditions.ties import TiedConditions
 from fenics_tfeti.fem.contact.contact_set import (
     ContactSet,
     FoundContact,
@@ -58,9 +58,9 @@ class SolvedState:
     is_current: Callable[[], bool]  # whether the problem is as it was solved, on all ranks
 
     @property
-    def conditions(self) -> ContactSet:
+    def contact_set(self) -> ContactSet:
         """The conditions of contacts and ties."""
-        return self.solved.conditions
+        return self.solved.contact_set
 
     @property
     def rows(self) -> Numbers:
@@ -109,20 +109,20 @@ class SolvedState:
 
         Pairs of nodes become mortar conditions where nodes of one side alone move, by default.
         """
-        for found in self.conditions.contacts:
+        for found in self.contact_set.contacts:
             if found.roles.given is contact and isinstance(found.contact, ContactPair):
                 partners = found.contact.partners
-                if keep_pairs and partners is None and not found.pairing.is_mortar:
+                if keep_pairs and partners is None and not found.conditions.is_mortar:
                     partners = Nearest()
                 return replace(found.contact, roles="given", partners=partners)
         return contact
 
     @property
-    def matched_ties(self) -> dict[int, TiedPairing]:
+    def matched_ties(self) -> dict[int, TiedConditions]:
         """The ties, by number, of nodes that match: one alone cannot move."""
         return {
-            found.number: found.pairing
-            for found in self.conditions.ties
+            found.number: found.conditions
+            for found in self.contact_set.ties
             if isinstance(found.tie, PeriodicPair | BoltPreload)
         }
 
@@ -134,7 +134,7 @@ class SolvedState:
         size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
         prescribed, in_forms = np.zeros(size), []
         for m, dm in data.items():
-            at, entries = prescribed_entries(space, self.torn.bcs, self.conditions.prescribed, m)
+            at, entries = prescribed_entries(space, self.torn.bcs, self.contact_set.prescribed, m)
             values = np.ravel(dm.x.array if isinstance(dm, Function) else dm)
             values = np.broadcast_to(
                 values, np.size(m.value if isinstance(m, Constant) else m.x.array)
@@ -149,14 +149,14 @@ class SolvedState:
 
     def parts_of(self, name: str | int) -> list[tuple[FoundContact, Numbers]]:
         """Return the parts of a contact, by name or number, in order, with their rows."""
-        found = self.conditions.contacts
+        found = self.contact_set.contacts
         parts = [
             (contact, own)
-            for contact, own in zip(found, self.conditions.positions, strict=True)
-            if name in (contact.number, contact.pairing.name)
+            for contact, own in zip(found, self.contact_set.positions, strict=True)
+            if name in (contact.number, contact.conditions.name)
         ]
         if not parts:
-            names = sorted({contact.pairing.name for contact in found})
+            names = sorted({contact.conditions.name for contact in found})
             raise InputError(f"there is no contact {name!r}; there are {names}")
         return parts
 
@@ -166,9 +166,9 @@ class SolvedState:
 
     def tie_of(self, name: str | int) -> tuple[FoundTie, Numbers] | None:
         """Return a tie, by name or number, with its rows among those of all ties; None for none."""
-        sizes = [found.pairing.rows.size for found in self.conditions.ties]
-        for found, own in zip(self.conditions.ties, consecutive(sizes), strict=True):
-            if name in (found.number, found.pairing.name):
+        sizes = [found.conditions.rows.size for found in self.contact_set.ties]
+        for found, own in zip(self.contact_set.ties, consecutive(sizes), strict=True):
+            if name in (found.number, found.conditions.name):
                 return found, own
         return None
 
@@ -202,11 +202,13 @@ class SolvedState:
     def has_kinds_of(self, found: ContactSet) -> bool:
         """Tell whether this rank's conditions are of the kinds and numbers of others."""
 
-        def kinds(conditions: ContactSet) -> list[tuple[bool, int]]:
-            contacts = [(p.is_mortar, p.gap.size) for p in conditions.pairings]
-            return contacts + [(t.pairing.is_mortar, t.pairing.rows.size) for t in conditions.ties]
+        def kinds(contact_set: ContactSet) -> list[tuple[bool, int]]:
+            contacts = [(p.is_mortar, p.gap.size) for p in contact_set.all_conditions]
+            return contacts + [
+                (t.conditions.is_mortar, t.conditions.rows.size) for t in contact_set.ties
+            ]
 
-        return kinds(found) == kinds(self.conditions)
+        return kinds(found) == kinds(self.contact_set)
 
     def zeros(self) -> RowValues:
         """Return zeros at all conditions."""
@@ -220,7 +222,7 @@ class SolvedState:
         touching, at_edge = self.linear.kinks()
         at_row = np.zeros(touching.size, dtype=bool)
         at_row[self.rows] = at_edge
-        found, names = self.conditions, self.conditions.names
+        found, names = self.contact_set, self.contact_set.names
         counts = np.zeros((len(names), 2), dtype=np.int64)
         for contact, own in zip(found.contacts, found.positions, strict=True):
             counts[contact.number] += [np.count_nonzero(x[own]) for x in (touching, at_row)]
@@ -233,7 +235,7 @@ class SolvedState:
 
     def torn_loads(self, values: Vector) -> list[Vector]:
         """Return nodal forces (n,) at one copy of each node, and on rigid bodies. Collective."""
-        nodes, bodies = self.torn.nodes, self.conditions.bodies
+        nodes, bodies = self.torn.nodes, self.contact_set.bodies
         forces, loads = values.reshape(-1, nodes.components), []
         given = np.zeros(nodes.size, dtype=bool)
         given[nodes.owned :] = True
@@ -281,7 +283,7 @@ class SolvedState:
 
     def body_forces(self, system: TornSystem, forces: RowValues) -> Vector:
         """Return N'a + T'b (b, gdim) at the nodes beyond those of the mesh. Collective."""
-        nodes, bodies = self.torn.nodes, self.conditions.bodies
+        nodes, bodies = self.torn.nodes, self.contact_set.bodies
         total = np.zeros_like(bodies.free_displacements(nodes.total))
         for numbers, terms in self._terms(system, forces):
             beyond = (numbers >= nodes.total) & (numbers < nodes.total + len(total))
@@ -304,7 +306,7 @@ class SolvedState:
         """Return the displacement of a linear solution, and the motions of rigid bodies."""
         u = Function(self.forms.u.function_space, name=name)
         fill_displacement(u, self.torn.torn.subdomains, solution.displacements)
-        bodies, none = self.conditions.bodies, [np.zeros_like(x) for x in solution.displacements]
-        after, before = (self.conditions.motions_after(x) for x in (solution.displacements, none))
+        bodies, none = self.contact_set.bodies, [np.zeros_like(x) for x in solution.displacements]
+        after, before = (self.contact_set.motions_after(x) for x in (solution.displacements, none))
         motions = [x - y for x, y in zip(after, before, strict=True)]
         return self.torn.fill(u, bodies.moved(motions), is_small=True), motions

@@ -49,7 +49,7 @@ class Change:
     ) -> Change:
         """Return what changes of Functions and Constants, and of contacts, make. Collective."""
         gap, bound = state.zeros().normal, np.zeros(state.rows.size)
-        areas = np.concatenate([np.zeros(0), *(p.area for p in state.conditions.pairings)])
+        areas = np.concatenate([np.zeros(0), *(p.area for p in state.contact_set.all_conditions)])
         force = state.solution.normal_force
         with raise_collectively(state.torn.nodes.comm):
             for m in data:

@@ -231,7 +231,7 @@ def test_shrink_fit(demo):
     """The pressure by Lamé's formulas, in the mean and at each node."""
     assert demo["pressure"] == pytest.approx(demo["lame"], rel=0.002)
     assert demo["spread"] < 0.015
-    assert demo["problem"].report.contacts[0].pairing["discretisation"] == "mortar"
+    assert demo["problem"].report.contacts[0].matching["discretisation"] == "mortar"
 
 
 def test_gear_teeth(demo):
@@ -246,7 +246,7 @@ def test_tied_block(demo):
     assert demo["errors"]["fine part"] < 0.003
     assert demo["errors"]["coarse part"] < 0.0006
     assert [
-        entry["discretisation"] for entry in [c.pairing for c in demo["problem"].report.contacts]
+        entry["discretisation"] for entry in [c.matching for c in demo["problem"].report.contacts]
     ] == ["tied"] * 2
 
 

@@ -27,7 +27,7 @@ def test_solution_of_one_rank(name):
     for found, expected in zip(here.results[-2:], alone.results[-2:], strict=True):
         scale = np.linalg.norm(expected.force)
         np.testing.assert_allclose(found.force, expected.force, atol=1e-6 * scale)
-    entries = [problem.report.contacts[-1].pairing for problem in (here, alone)]
+    entries = [problem.report.contacts[-1].matching for problem in (here, alone)]
     assert entries[0] == pytest.approx(entries[1], abs=1e-12)
     tie = here.results[-1].gather()
     assert tie.nodes.size == alone.results[-1].nodes.size

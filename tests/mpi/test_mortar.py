@@ -48,8 +48,8 @@ def test_uneven_load(cell):
         scale = np.abs(values).max()
         np.testing.assert_allclose(found[name], values, rtol=0.0, atol=1e-8 * scale, err_msg=name)
     (entry,), (other,) = (
-        [c.pairing for c in here.report.contacts],
-        [c.pairing for c in alone.report.contacts],
+        [c.matching for c in here.report.contacts],
+        [c.matching for c in alone.report.contacts],
     )
     assert entry["discretisation"] == other["discretisation"] == "mortar"
     numbers = {key for key, value in other.items() if isinstance(value, int | float)}
@@ -65,7 +65,7 @@ def test_roles_are_those_of_one_rank():
     found, alone = (problem.report.contacts[0] for problem in problems)
     assert found.roles == alone.roles
     assert "are exchanged" in found.roles
-    assert found.pairing["slave"] == alone.pairing["slave"] == LOWER
+    assert found.matching["slave"] == alone.matching["slave"] == LOWER
     sides = [problem.report.contacts[0].force for problem in problems]
     np.testing.assert_allclose(*sides, rtol=1e-5, atol=1e-6 * np.abs(sides).max())
     assert sides[0][1] > 0.0

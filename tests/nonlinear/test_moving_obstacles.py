@@ -71,11 +71,11 @@ def test_what_sticks_to_a_belt_that_stretches(dim, degree, is_exact):
     problem.solve()
     belt = problem.results["belt"]
     assert belt.friction.sticking.all() and belt.active.all()
-    (found,) = problem._solved.conditions.contacts
-    nodes = found.pairing.surface.boundary.nodes
+    (found,) = problem._solved.contact_set.contacts
+    nodes = found.conditions.surface.boundary.nodes
     u = problem.u.x.array.reshape(-1, dim)[: nodes.owned]
     # of degree 2 the conditions are for means around nodes
-    moved, place = (found.pairing.relative(v)[:, 0] for v in (u, nodes.coordinates + u))
+    moved, place = (found.conditions.relative(v)[:, 0] for v in (u, nodes.coordinates + u))
     np.testing.assert_allclose(moved, share * place, atol=1e-9)
 
 

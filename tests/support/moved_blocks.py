@@ -16,7 +16,7 @@ from scenes import GROUND, MASTER, SLAVE, Scene, at, dimension
 from dolfinx import fem
 
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -48,7 +48,7 @@ class Blocks(Scene):
     def obstacle(self, surface: Any) -> RigidObstacle:
         return RigidObstacle(self.facet_tags, slave=GROUND, obstacle=surface)
 
-    def pairing(self, contact: Any) -> ContactPairing:
+    def conditions(self, contact: Any) -> ContactConditions:
         return match_contacts(MeshBoundary.of(self.V), [contact])[0]
 
     def displacement(
@@ -69,13 +69,13 @@ class Blocks(Scene):
 
     def deformed(
         self, lower: Motion | None = None, upper: Motion | None = None, **arguments: Any
-    ) -> tuple[ContactPairing, DeformedContact, Vector, Vector]:
+    ) -> tuple[ContactConditions, DeformedContact, Vector, Vector]:
         """Return the pair before and after, and the slave's and partners' displacements; serial."""
         pair, uh = replace(self.pair, **arguments), self.displacement(lower, upper)
-        pairing = self.pairing(pair)
-        result = deformed_contacts([(pair, pairing)], uh)[0]
+        conditions = self.conditions(pair)
+        result = deformed_contacts([(pair, conditions)], uh)[0]
         u = uh.x.array.reshape(-1, self.mesh.geometry.dim)
-        return pairing, result, u[pairing.slave], u[result.pairing.master]
+        return conditions, result, u[conditions.slave], u[result.conditions.master]
 
 
 def blocks(

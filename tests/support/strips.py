@@ -45,8 +45,8 @@ def ring(outer_radius=2.0, n=8):
 
 def partners(space, contact):
     """Match, and return slave and partner coordinates, by the slave's."""
-    pairing = matched(space, contact)
+    conditions = matched(space, contact)
     gdim = space.mesh.geometry.dim
-    order = np.lexsort(np.round(pairing.coordinates, 12).T[::-1])
+    order = np.lexsort(np.round(conditions.coordinates, 12).T[::-1])
     points = space.tabulate_dof_coordinates()[:, :gdim]
-    return pairing.coordinates[order, :gdim], points[pairing.master[order]], pairing
+    return conditions.coordinates[order, :gdim], points[conditions.master[order]], conditions

@@ -19,7 +19,7 @@ from fenics_tfeti import (
     SelfContact,
 )
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.conditions import contact_rows, row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import contact_rows, row_values
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.io import (

@@ -198,16 +198,16 @@ def test_random_assemblies():
         numbers = [[int(n) - 1 for n in re.findall(r"cell tag (\d+)", p.name)] for p in pairs]
         assert sorted(map(sorted, numbers)) == [[k, k + 1] for k in range(joints.size)], seed
         try:
-            pairings = match_contacts(MeshBoundary.of(displacement_space(mesh)), pairs)
+            all_conditions = match_contacts(MeshBoundary.of(displacement_space(mesh)), pairs)
         except InputError:
             refused += 1
             continue
-        for pairing, bodies in zip(pairings, numbers, strict=True):
+        for conditions, bodies in zip(all_conditions, numbers, strict=True):
             joint = min(bodies)
-            for surface in pairing.surfaces:
+            for surface in conditions.surfaces:
                 off = surface.corners[:, :, assembly.axis] - joints[joint]
                 assert np.abs(off).max() <= assembly.height + 1e-12, seed
-            assert np.abs(pairing.gap).max() <= assembly.height + 1e-12, seed
-            area = mesh.comm.allreduce(pairing.area.sum())
+            assert np.abs(conditions.gap).max() <= assembly.height + 1e-12, seed
+            area = mesh.comm.allreduce(conditions.area.sum())
             assert area == pytest.approx(assembly.overlaps[joint], rel=0.01), seed
     assert refused <= 2

@@ -39,8 +39,8 @@ def assert_same(problem, uh, other, expected):
             mine.normal_force, theirs.normal_force, atol=1e-6 * theirs.normal_force.max()
         )
     np.testing.assert_allclose(normal_forces(problem), normal_forces(other), rtol=1e-7, atol=1e-3)
-    assert [c.pairing for c in problem.report.contacts] == [
-        c.pairing for c in other.report.contacts
+    assert [c.matching for c in problem.report.contacts] == [
+        c.matching for c in other.report.contacts
     ]
 
 

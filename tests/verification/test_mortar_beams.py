@@ -36,10 +36,10 @@ def report(lower, upper, ratio, exchanged=False):
 def test_meshes_in_the_ratios_of_7_to_5_and_3_to_1(ratio):
     matching = {n: report(n, n, ratio) for n in (10, 14, 30)}
     equal = matching[10]
-    assert equal.contacts[0].pairing["discretisation"] == "node_to_node"
+    assert equal.contacts[0].matching["discretisation"] == "node_to_node"
     for upper, exchanged in itertools.product((14, 30), (False, True)):
         found = report(10, upper, ratio, exchanged)
-        assert found.contacts[0].pairing["discretisation"] == "mortar"
+        assert found.contacts[0].matching["discretisation"] == "mortar"
         force = found.contacts[0].force[1] * (-1.0 if exchanged else 1.0)
         assert force == pytest.approx(2.0 * TRACTION, rel=1e-8)
         # the finer beam is softer

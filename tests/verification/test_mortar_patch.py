@@ -77,13 +77,13 @@ def test_border_beyond_a_line_of_nodes_by_a_sliver(cell, degree, exponent):
 
 def test_pairing_is_in_the_report():
     problem = solved(Blocks("triangle", width=0.63), LOWER).problem
-    (entry,) = [c.pairing for c in problem.report.contacts]
+    (entry,) = [c.matching for c in problem.report.contacts]
     assert entry["discretisation"] == "mortar"
     assert entry["pairs"] + entry["unmatched"] == 6
     assert entry["covered_area"] == pytest.approx(0.63)
     assert entry["smallest_gap"] == entry["largest_gap"] == entry["mean_gap"] == 0.0
     assert problem.results[0].area.sum() == pytest.approx(0.63)
-    assert "mortar" in problem.report.pairing_table()
+    assert "mortar" in problem.report.matching_table()
 
 
 @pytest.mark.parametrize("slave", [LOWER, UPPER])
@@ -118,7 +118,7 @@ def test_largest_pressure_with_either_side_as_slave(cell, grid, offset):
             problem.report.contacts[0].normal_force
         )
         assert contact.area.sum() == pytest.approx(
-            problem.report.contacts[0].pairing["covered_area"]
+            problem.report.contacts[0].matching["covered_area"]
         )
     largest = [problem.results[0].pressure.max() for problem in (table, foot)]
     assert 0.7 < largest[0] / largest[1] < 1.3

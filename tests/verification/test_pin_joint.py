@@ -141,7 +141,7 @@ def test_motions_and_pressures_are_those_of_one_rank(degree):
 @pytest.mark.ranks(2)
 def test_sizes_of_clearance_and_deviation_are_the_same():
     entries = [
-        joint_problem(read_joint(2.5, 1, comm), 1)._torn.undeformed.pairings[0].summary
+        joint_problem(read_joint(2.5, 1, comm), 1)._torn.undeformed.all_conditions[0].summary
         for comm in (MPI.COMM_WORLD, MPI.COMM_SELF)
     ]
     for key in ("pairs", "deviation", "blurred", "mean_gap"):

@@ -12,7 +12,11 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, SlaveValues, contact_rows
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
+    ContactConditions,
+    SlaveValues,
+    contact_rows,
+)
 from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
 from fenics_tfeti.fem.contact.conditions.friction import (
     NodalFriction,
@@ -20,7 +24,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
     friction_rows,
     nodal_friction,
 )
-from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedPairing
+from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
@@ -50,9 +54,9 @@ class FoundContact:
     number: int  # among all contacts and tied pairs
     contact_key: str  # from step to step and in files, see `contact_keys`
     roles: Roles  # the contact as the user gave it and as it is used
-    pairing: ContactPairing
-    undeformed: ContactPairing
-    friction: NodalFriction | None = None  # at `pairing`
+    conditions: ContactConditions
+    undeformed: ContactConditions
+    friction: NodalFriction | None = None  # at `conditions`
     on_body: OnBody | None = None  # where the conditions are on a rigid body
     rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
     part: int = 0  # of the contact, see `match_pairs`
@@ -80,7 +84,7 @@ class FoundContact:
     @property
     def gap(self) -> Vector:
         """Gaps of the undeformed surfaces (k,) [m]; infinite at nodes without condition there."""
-        place = positions(self.undeformed.slave, self.pairing.slave)
+        place = positions(self.undeformed.slave, self.conditions.slave)
         return np.append(self.undeformed.gap, np.inf)[place]
 
     @property
@@ -90,12 +94,12 @@ class FoundContact:
 
     def placed(self, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
-        master = rigid.master_of(self.pairing.terms, self.pairing.name)
+        master = rigid.master_of(self.conditions.terms, self.conditions.name)
         if self.body is None:
             return replace(self, rigid_master=master)
-        x = self.pairing.relative(rigid.nodes.coordinates)
-        gap = self.pairing.gap
-        return replace(self, on_body=OnBody(x + _along(self.pairing.normal, gap), x))
+        x = self.conditions.relative(rigid.nodes.coordinates)
+        gap = self.conditions.gap
+        return replace(self, on_body=OnBody(x + _along(self.conditions.normal, gap), x))
 
     def contact_at(self, bodies: RigidBodies) -> Contact:
         """Return the contact, with an obstacle on a rigid body where the body is."""
@@ -112,7 +116,7 @@ class FoundTie:
 
     number: int  # among all contacts and tied pairs
     tie: Tie
-    pairing: TiedPairing
+    conditions: TiedConditions
     rigid_master: RigidBody | None = None  # as of a contact
 
 
@@ -128,9 +132,9 @@ class ContactSet:
     rigid: RigidNodes
 
     @property
-    def pairings(self) -> list[ContactPairing]:
+    def all_conditions(self) -> list[ContactConditions]:
         """The conditions of each contact."""
-        return [found.pairing for found in self.contacts]
+        return [found.conditions for found in self.contacts]
 
     @property
     def keys(self) -> list[str]:
@@ -145,14 +149,14 @@ class ContactSet:
     def at_conditions(self, values: SlaveValues) -> Array:
         """Return values (k, ...) at the conditions of all contacts, one after the other."""
         parts = [
-            values.at(found.history, self.dofs(found.pairing.slave)) for found in self.contacts
+            values.at(found.history, self.dofs(found.conditions.slave)) for found in self.contacts
         ]
         return np.concatenate([np.zeros((0, *values.shape)), *parts])
 
     def slave_values(self, values: Vector) -> SlaveValues:
         """Return values (k,) at the conditions of all contacts by their slave nodes."""
         parts = (
-            (self.dofs(found.pairing.slave), values[own])
+            (self.dofs(found.conditions.slave), values[own])
             for found, own in zip(self.contacts, self.positions, strict=True)
         )
         return SlaveValues.of([found.history for found in self.contacts], parts)
@@ -166,12 +170,12 @@ class ContactSet:
     def names(self) -> list[str]:
         """Names of all contacts and tied pairs, by number."""
         # a contact may have several parts
-        return [*{found.number: found.pairing.name for found in self.entries}.values()]
+        return [*{found.number: found.conditions.name for found in self.entries}.values()]
 
     def rows(self) -> ContactRows:
         """Return the conditions of all contacts, one contact after the other. Collective."""
         numbers = [found.number for found in self.contacts]
-        rows = contact_rows(self.pairings, self.boundary.nodes.components, numbers)
+        rows = contact_rows(self.all_conditions, self.boundary.nodes.components, numbers)
         for found, own_rows in zip(self.contacts, self.positions, strict=True):
             if found.on_body is not None:
                 frame, places = self.bodies.frame_of(found.body), found.on_body.places
@@ -183,14 +187,14 @@ class ContactSet:
     @property
     def positions(self) -> list[Numbers]:
         """The positions (k,) of each contact's conditions among all of them."""
-        return consecutive([found.pairing.gap.size for found in self.contacts])
+        return consecutive([found.conditions.gap.size for found in self.contacts])
 
     def tied_rows(self) -> ContactRows:
         """Return the rows of all ties, one tie after the other. Collective."""
         if not self.ties:
             return ContactRows.none(self.boundary.space.mesh.geometry.dim)
         rows = [
-            replace(tie.pairing.rows, contact=np.full(tie.pairing.rows.size, tie.number))
+            replace(tie.conditions.rows, contact=np.full(tie.conditions.rows.size, tie.number))
             for tie in self.ties
         ]
         return self.rigid.joined(ContactRows.concatenate(rows), self.bodies)
@@ -206,7 +210,7 @@ class ContactSet:
             return Friction.none(nodes.components)
         displacement = origin.displacement - (0.0 if start is None else start)
         displacement = self.rigid.relative_to_unknowns(displacement, self.bodies)
-        rows = contact_rows(self.pairings, nodes.components)
+        rows = contact_rows(self.all_conditions, nodes.components)
         return friction_rows(nodes, rows, sites, displacement)
 
     def _obstacle_motion(
@@ -217,12 +221,12 @@ class ContactSet:
         Of a body it is what is not among the unknowns, with all but the present rotation of the
         slip: the slave's nodes have slid from one place of the body to another.
         """
-        nodes, pairing, on = self.boundary.nodes, found.pairing, found.on_body
-        earlier = origin.obstacles.at(found.history, self.dofs(pairing.slave))
+        nodes, conditions, on = self.boundary.nodes, found.conditions, found.on_body
+        earlier = origin.obstacles.at(found.history, self.dofs(conditions.slave))
         if on is None:
             return friction.obstacle_displacement - earlier
         frame, u = self.bodies.frame_of(found.body), origin.displacement
-        start = pairing.relative(nodes.coordinates + u.reshape(-1, nodes.components))
+        start = conditions.relative(nodes.coordinates + u.reshape(-1, nodes.components))
         slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
         ahead = frame.displacements(frame.ahead(self.bodies.from_here), on.places)
         return on.slave - start + ahead - slid
@@ -232,7 +236,7 @@ class ContactSet:
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         boundary = self.boundary if uh is None else self.boundary.deformed(uh)
         contacts = [
-            replace(f, friction=nodal_friction(f.contact, f.pairing, fixed, boundary))
+            replace(f, friction=nodal_friction(f.contact, f.conditions, fixed, boundary))
             for f in self.contacts
         ]
         return replace(self, contacts=contacts)
@@ -241,21 +245,21 @@ class ContactSet:
         """Return the set with axes of bolts and gaps of tied surfaces that turn. Collective."""
         nodes, ties = self.boundary.nodes, list(self.ties)
         for k, found in enumerate(ties):
-            pairing = found.pairing
-            if pairing.of_means is not None:
-                turned = pairing.with_turned_gaps(self.boundary.deformed(uh))
-                ties[k] = replace(found, pairing=turned)
+            conditions = found.conditions
+            if conditions.of_means is not None:
+                turned = conditions.with_turned_gaps(self.boundary.deformed(uh))
+                ties[k] = replace(found, conditions=turned)
             if isinstance(found.tie, BoltPreload) and found.tie.turns:
-                held = np.isin(pairing.nodes, self.prescribed.nodes)
-                points = pairing.coordinates[:, : nodes.components]
+                held = np.isin(conditions.nodes, self.prescribed.nodes)
+                points = conditions.coordinates[:, : nodes.components]
                 if bad := first_wrong(nodes.comm, held, points):
                     raise InputError(
-                        f"{pairing.name}: displacements are prescribed at {bad.number} nodes of "
+                        f"{conditions.name}: displacements are prescribed at {bad.number} nodes of "
                         f"the cut, the first at {bad.place}, which hold the axis: a bolt with "
                         "turns=True needs a cut whose slave side is free. Leave turns out, or cut "
                         "the shank where nothing is prescribed"
                     )
-                ties[k] = replace(found, pairing=pairing.with_turned_axis(uh))
+                ties[k] = replace(found, conditions=conditions.with_turned_axis(uh))
         return replace(self, ties=ties)
 
     def added_subdomains(self, first: int) -> list[Subdomain]:
@@ -269,13 +273,13 @@ class ContactSet:
         """The names of the bodies of all ranks that are not of the mesh, by number."""
         return [
             *self.bodies.names,
-            *(f"shortening of {tie.pairing.name}" for tie, _ in self._preloads),
+            *(f"shortening of {tie.conditions.name}" for tie, _ in self._preloads),
         ]
 
     @property
     def _preloads(self) -> list[tuple[FoundTie, Preload]]:
         """The bolts whose shortening is an unknown of the torn system."""
-        found = ((tie, tie.pairing.preload) for tie in self.ties)
+        found = ((tie, tie.conditions.preload) for tie in self.ties)
         return [(tie, preload) for tie, preload in found if preload is not None and preload.body]
 
     @property
@@ -322,14 +326,16 @@ class ContactSet:
         that at the conditions before, see `with_friction`.
         """
         bodies, contacts = bodies or self.bodies, []
-        known = {found.key: found.pairing for found in (last or self).contacts}
-        pairings = [known[found.key] for found in self.contacts]
+        known = {found.key: found.conditions for found in (last or self).contacts}
+        all_conditions = [known[found.key] for found in self.contacts]
         at_bodies = [found.contact_at(bodies) for found in self.contacts]
         # rows of small strains act on undeformed bodies, which given normals leave free to turn
         is_finite = bodies.from_here
-        measured = deformed_contacts(list(zip(at_bodies, pairings, strict=True)), uh, is_finite)
+        measured = deformed_contacts(
+            list(zip(at_bodies, all_conditions, strict=True)), uh, is_finite
+        )
         for found, new in zip(self.contacts, measured, strict=True):
-            found = replace(found, pairing=new.pairing)
+            found = replace(found, conditions=new.conditions)
             if found.body is not None:
                 found = self._on_body(found, bodies.frame_of(found.body), uh)
             contacts.append(found)
@@ -337,14 +343,14 @@ class ContactSet:
 
     def _on_body(self, found: FoundContact, frame: BodyFrame, uh: Function) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""
-        nodes, pairing, motion = self.boundary.nodes, found.pairing, frame.motion
-        u = pairing.relative(nodes.values(uh)[: nodes.owned])
-        x = pairing.relative(nodes.coordinates) + u
-        distance = pairing.gap - np.sum(u * pairing.normal, axis=1)
-        places = x + _along(pairing.normal, distance) - motion[: nodes.components]
-        moved = np.sum(pairing.normal * frame.displacements(motion, places), axis=1)
-        pairing = replace(pairing, gap=pairing.gap - moved)
-        return replace(found, pairing=pairing, on_body=OnBody(places, x))
+        nodes, conditions, motion = self.boundary.nodes, found.conditions, frame.motion
+        u = conditions.relative(nodes.values(uh)[: nodes.owned])
+        x = conditions.relative(nodes.coordinates) + u
+        distance = conditions.gap - np.sum(u * conditions.normal, axis=1)
+        places = x + _along(conditions.normal, distance) - motion[: nodes.components]
+        moved = np.sum(conditions.normal * frame.displacements(motion, places), axis=1)
+        conditions = replace(conditions, gap=conditions.gap - moved)
+        return replace(found, conditions=conditions, on_body=OnBody(places, x))
 
     def has_same_contacts(self, other: ContactSet) -> bool:
         """Tell whether another set was found for the same contacts in the same roles."""

@@ -111,7 +111,7 @@ def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
     rows: list[Sequence[Any]] = [(*head, f"work of friction [{units.energy}]")[:columns]]
     for contact in report["contacts"]:
         vector = ", ".join(map(_number, contact["force"]))
-        pairs, work = contact["pairing"]["pairs"], _number(contact["friction_work"])
+        pairs, work = contact["matching"]["pairs"], _number(contact["friction_work"])
         row = (contact["name"], _number(contact["normal_force"]), vector, pairs, work)
         rows.append(row[:columns])
     return _section("Contact", rows)

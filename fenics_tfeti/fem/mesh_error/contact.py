@@ -27,7 +27,7 @@ def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) 
     if hasattr(user, "facet_tags"):
         return tagged(faces, user.facet_tags, surface_tags(user))
     assert isinstance(entry, FoundTie)
-    numbers = np.unique(entry.pairing.rows.nodes)
+    numbers = np.unique(entry.conditions.rows.nodes)
     marks = nodes.sum_at_owners(numbers[numbers < nodes.total], np.ones(numbers.size, dtype=bool))
     mask = np.zeros(nodes.size, dtype=bool)
     mask[: nodes.owned] = marks > 0
@@ -52,8 +52,8 @@ def gap_energies(
     Collective.
     """
     total = np.zeros((faces.size, 2))
-    weight = solved.conditions.boundary.nodal_weight()
-    for found, result in zip(solved.conditions.contacts, solved.contacts, strict=True):
+    weight = solved.contact_set.boundary.nodal_weight()
+    for found, result in zip(solved.contact_set.contacts, solved.contacts, strict=True):
         assert isinstance(found.contact, ContactPair | RigidObstacle)
         pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.nominal_pressure, 0.0))
         corners = pressure[faces.facet_corners()]
@@ -114,7 +114,7 @@ def _gaps_to_obstacle(
         on = f == number
         x[on] = faces.points(points, k[on])
         u[on] = faces.rule.traces[number] @ nodal[on]
-    bodies, surface = solved.bodies, found.pairing.surface
+    bodies, surface = solved.bodies, found.conditions.surface
     contact = found.contact_at(bodies) if is_exact else found.contact
     assert isinstance(contact, RigidObstacle)
     places = (x + u if is_exact else x).reshape(-1, d)

@@ -356,15 +356,15 @@ class MeshErrorProblem:
 
     def _kinds(self) -> FacetKinds:
         """Find what acts on facets. Collective."""
-        faces, conditions = self.faces, self.solved.conditions
+        faces, contact_set = self.faces, self.solved.contact_set
         self.surfaces = {
-            entry.number: facets_of(faces, self.nodes, entry) for entry in conditions.entries
+            entry.number: facets_of(faces, self.nodes, entry) for entry in contact_set.entries
         }
         exterior = exterior_facets(faces.space.mesh)[faces.facets]
         contact = np.zeros_like(exterior)
         for mask in self.surfaces.values():
             contact |= mask & exterior
-        fixed = prescribed_components(self.nodes, conditions.prescribed)
+        fixed = prescribed_components(self.nodes, contact_set.prescribed)
         fixed = over_ranks(self.nodes, fixed, np.logical_or)
         return FacetKinds.of(faces, self.nodes, contact, exterior, fixed)
 
@@ -496,7 +496,7 @@ def _contact_errors(
     columns = np.stack([squares, energies])
     for number, mask in problem.surfaces.items():
         sums[number] = comm.allreduce(columns[:, mask.any(axis=1)].sum(axis=1))
-    for found, result in zip(solved.conditions.contacts, solved.contacts, strict=True):
+    for found, result in zip(solved.contact_set.contacts, solved.contacts, strict=True):
         top = comm.allreduce(result.pressure.max(initial=0.0), MPI.MAX)
         if top <= max(0.0, largest.get(found.number, 0.0)):
             continue
@@ -504,7 +504,7 @@ def _contact_errors(
         marks = (result.pressure == top).astype(float)
         at_top = at_local_nodes(problem.nodes, result.dofs, marks)[problem.faces.nodes] > 0.0
         sums[-1 - found.number] = comm.allreduce(columns[:, at_top.any(axis=1)].sum(axis=1))
-    names = {entry.number: entry.pairing.name for entry in solved.conditions.entries}
+    names = {entry.number: entry.conditions.name for entry in solved.contact_set.entries}
     return ByName(
         {
             name: ContactMeshError(

@@ -17,8 +17,8 @@ SECOND_SLAVE = 15
 
 
 def pairs_of(space, contacts):
-    pairings = match_contacts(MeshBoundary.of(space), contacts)
-    return [pairing.summary["pairs"] for pairing in pairings]
+    all_conditions = match_contacts(MeshBoundary.of(space), contacts)
+    return [conditions.summary["pairs"] for conditions in all_conditions]
 
 
 def test_meshes_that_correspond_but_are_not_identical():

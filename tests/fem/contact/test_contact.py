@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fenics_tfeti import ContactPair, ContactResult, InputError, Plane, RigidObstacle
-from fenics_tfeti.fem.contact.conditions.conditions import SlaveValues
+from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_keys, surface_key
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results
 

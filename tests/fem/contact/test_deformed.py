@@ -29,7 +29,7 @@ def sideways(gdim, *by):
 
 def true_gap(result, slave, partner):
     """Return how far the deformed slave is from the deformed master."""
-    return result.pairing.gap - np.sum((slave - partner) * result.normal, axis=1)
+    return result.conditions.gap - np.sum((slave - partner) * result.normal, axis=1)
 
 
 def wavy(x, *y):
@@ -46,7 +46,7 @@ def test_normals_of_warped_facets_are_those_of_the_match(cell):
     x = bent.mesh.geometry.x
     gdim = bent.mesh.geometry.dim
     x[:, :gdim] = lifted(wavy)(x[:, :gdim].T).T
-    expected = bent.pairing(replace(bent.pair, partners=Nearest(tolerance=1.0))).normal
+    expected = bent.conditions(replace(bent.pair, partners=Nearest(tolerance=1.0))).normal
     result = straight.deformed(lifted(wavy), lifted(wavy))[1]
     np.testing.assert_allclose(result.normal, expected, atol=1e-13)
 
@@ -240,7 +240,7 @@ def at_obstacle(scene, surface, motion):
     uh = scene.displacement(motion)
     gdim = scene.mesh.geometry.dim
     before = RigidObstacle(scene.facet_tags, GROUND, Plane([0.0] * gdim, [*[0] * (gdim - 1), 1]))
-    matched = scene.pairing(before)
+    matched = scene.conditions(before)
     result = deformed_contacts([(contact, matched)], uh)[0]
     u = uh.x.array.reshape(-1, gdim)[matched.slave]
     return matched, result, matched.coordinates[:, :gdim] + u, u
@@ -251,10 +251,10 @@ def test_plane_gives_the_same_row_for_every_displacement(cell):
     gdim = dimension(cell)
     scene = blocks(cell)
     plane = Plane(point=[0.1] * gdim, normal=[1.0] * (gdim - 1) + [3.0])
-    expected = scene.pairing(scene.obstacle(plane))
+    expected = scene.conditions(scene.obstacle(plane))
     _, result, _, _ = at_obstacle(scene, plane, turned(0.3, gdim, shift=-0.2)[1])
     np.testing.assert_allclose(result.normal, expected.normal, atol=1e-14)
-    np.testing.assert_allclose(result.pairing.gap, expected.gap, atol=1e-14)
+    np.testing.assert_allclose(result.conditions.gap, expected.gap, atol=1e-14)
 
 
 @every_cell
@@ -277,7 +277,7 @@ def test_ball_is_evaluated_at_the_deformed_place(cell):
     normal = -outwards / distance[:, None]
     np.testing.assert_allclose(result.normal, normal, atol=1e-14)
     expected = distance - 2.1 + np.sum(u * normal, axis=1)
-    np.testing.assert_allclose(result.pairing.gap, expected, atol=1e-14)
+    np.testing.assert_allclose(result.conditions.gap, expected, atol=1e-14)
     np.testing.assert_allclose(result.penetration, np.maximum(0.0, 2.1 - distance), atol=1e-14)
 
 
@@ -288,7 +288,7 @@ def test_gap_alone_counts_along_the_deformed_normal(cell):
     _, result, y, u = at_obstacle(blocks(cell), lambda x: 0.1 + x[gdim - 1], motion)
     np.testing.assert_allclose(result.normal, np.tile(-Q[:, -1], (len(y), 1)), atol=1e-14)
     expected = 0.1 + y[:, -1] - u @ Q[:, -1]
-    np.testing.assert_allclose(result.pairing.gap, expected, atol=1e-14)
+    np.testing.assert_allclose(result.conditions.gap, expected, atol=1e-14)
 
 
 # -- errors --------------------------------------------------------------------------------------
@@ -340,8 +340,8 @@ def deformed(cell, comm, kind):
         "gap alone": scene.obstacle(lambda x: x[gdim - 1] + 0.1),
     }[kind]
     known = scene.obstacle(ball) if kind == "gap alone" else contact
-    pairing, uh = scene.pairing(known), scene.displacement(*motions(gdim))
-    return pairing.coordinates, deformed_contacts([(contact, pairing)], uh)[0]
+    conditions, uh = scene.conditions(known), scene.displacement(*motions(gdim))
+    return conditions.coordinates, deformed_contacts([(contact, conditions)], uh)[0]
 
 
 @pytest.mark.ranks(2)
@@ -364,24 +364,24 @@ def test_result_is_that_of_one_rank(cell, kind):
         np.testing.assert_allclose(
             getattr(found, name), getattr(expected, name)[rows], atol=1e-13, err_msg=name
         )
-    np.testing.assert_allclose(found.pairing.gap, expected.pairing.gap[rows], atol=1e-13)
+    np.testing.assert_allclose(found.conditions.gap, expected.conditions.gap[rows], atol=1e-13)
     assert expected.penetration.max() > 0.01
 
 
 @pytest.mark.ranks(2)
 def test_ghosts_of_the_displacement_are_brought_up_to_date():
     scene = blocks("triangle", comm=COMM)
-    pairing, uh = scene.pairing(scene.pair), scene.displacement()
-    result = deformed_contacts([(scene.pair, pairing)], uh)[0]
+    conditions, uh = scene.conditions(scene.pair), scene.displacement()
+    result = deformed_contacts([(scene.pair, conditions)], uh)[0]
     assert np.isfinite(uh.x.array).all()
-    np.testing.assert_allclose(result.pairing.gap, 0.1, atol=1e-14)
+    np.testing.assert_allclose(result.conditions.gap, 0.1, atol=1e-14)
 
 
 @pytest.mark.ranks
 def test_displacement_that_is_not_finite_on_one_rank():
     scene = blocks("triangle", comm=COMM)
-    pairing, uh = scene.pairing(scene.pair), fem.Function(scene.V)
+    conditions, uh = scene.conditions(scene.pair), fem.Function(scene.V)
     if COMM.rank == COMM.size - 1:
         uh.x.array[0] = np.nan
     with pytest.raises(InputError, match="NaN"):
-        deformed_contacts([(scene.pair, pairing)], uh)[0]
+        deformed_contacts([(scene.pair, conditions)], uh)[0]

@@ -11,7 +11,7 @@ from strips import matched, partners, strips
 
 from fenics_tfeti import Along, ContactPair, Mapped, Nearest, Plane, Points, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import contact_rows
+from fenics_tfeti.fem.contact.conditions.contact_conditions import contact_rows
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.parallel import concatenate_ranks
@@ -80,13 +80,15 @@ def both(tags):
 @pytest.mark.parametrize("cell", CELLS)
 def test_partial_contact_counts_the_free_nodes(cell):
     _, tags, V = slab_on_two(MPI.COMM_SELF, cell)
-    pairings = match_contacts(MeshBoundary.of(V), both(tags))
-    summaries = [pairing.summary for pairing in pairings]
+    all_conditions = match_contacts(MeshBoundary.of(V), both(tags))
+    summaries = [conditions.summary for conditions in all_conditions]
     rows = 3 if scenes.dimension(cell) == 3 else 1
     assert [entry["pairs"] for entry in summaries] == 2 * [5 * rows]
     assert [entry["unmatched"] for entry in summaries] == 2 * [8 * rows]
     # the areas are those of the masters
-    assert [pairing.area.sum() for pairing in pairings] == pytest.approx([1.0, 1.0], rel=1e-12)
+    assert [conditions.area.sum() for conditions in all_conditions] == pytest.approx(
+        [1.0, 1.0], rel=1e-12
+    )
 
 
 def test_slab_over_two_bodies():
@@ -100,7 +102,7 @@ def test_slab_over_two_bodies():
     problem.solve()
     forces = normal_forces(problem)
     assert sum(forces) == pytest.approx(3.0 * TRACTION, rel=1e-8)
-    assert [c.pairing["contact"] for c in problem.report.contacts] == ["left", "right"]
+    assert [c.matching["contact"] for c in problem.report.contacts] == ["left", "right"]
     assert all(force > TRACTION for force in forces)
 
 
@@ -113,9 +115,9 @@ def test_shared_nodes_of_a_partial_contact_stay_free():
     V = displacement_space(tagged.mesh)
     # the corner is in both; (0.5, 0) and (1, 0) meet (0, 0.5) and (0, 1) when the corner closes
     folded = {"partners": Mapped(lambda x: x[[1, 0, 2]]), "partial": True}
-    x, partner, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
+    x, partner, conditions = partners(V, ContactPair(tags, SLAVE, MASTER, **folded))
     np.testing.assert_allclose(partner, x[:, ::-1], atol=1e-14)
-    assert pairing.summary["pairs"] == 2 and pairing.summary["unmatched"] == 1
+    assert conditions.summary["pairs"] == 2 and conditions.summary["unmatched"] == 1
     with pytest.raises(InputError, match=r"share 1 nodes, the first at \(0, 0\).*partial=True"):
         matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
@@ -170,9 +172,9 @@ ARGUMENTS = {
 
 
 def gathered(on, arguments):
-    """Match; return the pairs by the slave's coordinates, and the entry of the pairing table."""
+    """Match; return the pairs by the slave's coordinates, and the entry of the matching table."""
     scene = scenes.two_beams(on, "hexahedron", 4, gap=0.1)
-    pairing = match_contacts(
+    conditions = match_contacts(
         MeshBoundary.of(scene.V), [ContactPair(scene.facet_tags, SLAVE, MASTER, **arguments)]
     )[0]
     points = scene.V.tabulate_dof_coordinates()
@@ -182,11 +184,11 @@ def gathered(on, arguments):
     )
     place = np.empty((node.size, 3))
     place[node] = concatenate_ranks(on, points[:own])
-    columns = [pairing.coordinates, pairing.normal, pairing.gap, pairing.area]
+    columns = [conditions.coordinates, conditions.normal, conditions.gap, conditions.area]
     columns = [concatenate_ranks(on, column) for column in columns]
-    columns.append(place[concatenate_ranks(on, pairing.master)])
+    columns.append(place[concatenate_ranks(on, conditions.master)])
     order = np.lexsort(np.round(columns[0], 9).T)
-    return [column[order] for column in columns], pairing.summary
+    return [column[order] for column in columns], conditions.summary
 
 
 def rounded(entry):

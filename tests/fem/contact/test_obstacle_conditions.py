@@ -68,7 +68,7 @@ def test_where_there_is_no_obstacle(degree):
     there = np.isfinite(found.gap)
     assert sorted(found.coordinates[there, 0]) == pytest.approx([0.0, 0.5])
     space, _, whole = matched("quadrilateral", degree, tilted(2))
-    new = deformed_contacts([(contact, whole)], fem.Function(space))[0].pairing
+    new = deformed_contacts([(contact, whole)], fem.Function(space))[0].conditions
     there = np.isfinite(new.gap)
     assert sorted(new.coordinates[there, 0]) == pytest.approx([0.0, 0.5])
 
@@ -83,7 +83,7 @@ def test_gaps_in_the_deformed_state(cell, degree):
     u.x.array.reshape(-1, d)[:, d - 1] = -0.1
     new = deformed_contacts([(contact, before)], u)[0]
     np.testing.assert_allclose(new.normal, before.normal)
-    np.testing.assert_allclose(new.pairing.gap, before.gap, rtol=1e-12)
+    np.testing.assert_allclose(new.conditions.gap, before.gap, rtol=1e-12)
     np.testing.assert_allclose(new.distance, before.gap + 0.1 * before.normal[:, -1], rtol=1e-12)
 
 
@@ -98,7 +98,7 @@ def conditions(comm, cell, degree):
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
     new = deformed_contacts([(contact, found)], u)[0]
     columns = (found.coordinates, found.normal, found.gap, found.area)
-    columns += (new.normal, new.pairing.gap, new.distance)
+    columns += (new.normal, new.conditions.gap, new.distance)
     rows = concatenate_ranks(comm, np.column_stack(columns))
     return rows[np.lexsort(np.round(rows[:, :3], 9).T)]
 

@@ -189,11 +189,11 @@ def on_punch():
 
 def test_report_of_an_obstacle_that_is_not_everywhere(tmp_path, on_punch):
     problem = on_punch
-    (entry,) = [c.pairing for c in problem.report.contacts]
+    (entry,) = [c.matching for c in problem.report.contacts]
     assert (entry["pairs"], entry["unmatched"]) == (5, 4)
     assert (entry["smallest_gap"], entry["largest_gap"]) == (0.0, 0.0)
     assert problem.report.unknowns["infinite_gaps"] == 4
-    assert "inf" not in problem.report.pairing_table()
+    assert "inf" not in problem.report.matching_table()
     problem.report.to_json(tmp_path / "report.json")
     assert "Infinity" not in (tmp_path / "report.json").read_text()
 
@@ -232,8 +232,8 @@ def test_obstacle_that_is_nowhere():
     problem = scene.problem(contacts=[contact])
     problem.solve()
     assert normal_forces(problem) == [0.0]
-    assert problem.report.contacts[0].pairing["largest_gap"] is None
-    assert "-" in problem.report.pairing_table()
+    assert problem.report.contacts[0].matching["largest_gap"] is None
+    assert "-" in problem.report.matching_table()
 
 
 def test_punch_with_exact_non_penetration():

@@ -102,10 +102,10 @@ def test_pile(cell, degree, weighted):
     boundary, held = MeshBoundary.of(space, weight), supports(space)
     found = match_contacts(boundary, pairs, prescribed=held)
     assert len(found) == 8
-    kinds = {pairing.summary["discretisation"] for pairing in found}
+    kinds = {conditions.summary["discretisation"] for conditions in found}
     assert kinds == ({"mortar", "node_to_node"} if degree == 1 else {"mortar"})
-    for pair, pairing in zip(pairs, found, strict=True):
-        assert_alike(pairing, match_contacts(boundary, [pair], prescribed=held)[0])
+    for pair, conditions in zip(pairs, found, strict=True):
+        assert_alike(conditions, match_contacts(boundary, [pair], prescribed=held)[0])
 
 
 def test_round_and_flat_surfaces():
@@ -113,11 +113,11 @@ def test_round_and_flat_surfaces():
     space, pairs = rings()
     boundary = MeshBoundary.of(space)
     found = match_contacts(boundary, pairs)
-    across = [np.abs(pairing.normal[:, 2]).max(initial=0.0) for pairing in found]
+    across = [np.abs(conditions.normal[:, 2]).max(initial=0.0) for conditions in found]
     assert COMM.allreduce(across[0], MPI.MAX) < 1e-13
     alone = [part for pair in pairs for part in match_contacts(boundary, [pair])]
-    for pairing, part in zip(found, alone, strict=True):
-        assert_alike(pairing, part)
+    for conditions, part in zip(found, alone, strict=True):
+        assert_alike(conditions, part)
 
 
 def test_work_is_done_once_for_all_pairs(monkeypatch):
@@ -128,7 +128,7 @@ def test_work_is_done_once_for_all_pairs(monkeypatch):
         pairs_module, "mortar_conditions", lambda *args: calls.append(args) or conditions(*args)
     )
     found = match_contacts(MeshBoundary.of(space), pairs)
-    assert sum(pairing.is_mortar for pairing in found) > 1
+    assert sum(conditions.is_mortar for conditions in found) > 1
     assert len(calls) == 1
 
 

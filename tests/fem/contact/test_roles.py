@@ -43,8 +43,8 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
 
 def ratio_of(problem):
     stiffness = nodal_stiffness(problem._torn.nodes, problem.system.subdomains)
-    pairings = problem._torn.undeformed.pairings[:1]
-    return roles_ratios(MPI.COMM_WORLD, pairings, stiffness)[0]
+    all_conditions = problem._torn.undeformed.all_conditions[:1]
+    return roles_ratios(MPI.COMM_WORLD, all_conditions, stiffness)[0]
 
 
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
@@ -71,7 +71,7 @@ def test_good_choice_is_none():
 def test_automatic_roles(upper_young, slave):
     problem = posed(upper_young=upper_young, upper=5)
     uh = problem.solve()
-    entry = problem.report.contacts[0].pairing
+    entry = problem.report.contacts[0].matching
     assert (entry["slave"], entry["master"]) == (slave, LOWER + UPPER - slave)
     assert problem.results[0].on_master == (slave == LOWER)
     assert problem.report.contacts[0].roles_ratio < 1.0
@@ -81,7 +81,7 @@ def test_automatic_roles(upper_young, slave):
     np.testing.assert_allclose(uh.x.array, other.solve().x.array, atol=1e-9)
     # again, with the same roles
     problem.solve()
-    assert problem.report.contacts[0].pairing["slave"] == slave
+    assert problem.report.contacts[0].matching["slave"] == slave
 
 
 def test_exact_passes_of_exchanged_roles():

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import InputError, TiedPair
-from fenics_tfeti.fem.contact.conditions.conditions import row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 
 COMM = MPI.COMM_WORLD
 
@@ -68,7 +68,7 @@ def test_any_linear_displacement(cell, slave):
     scene.bcs = [fem.dirichletbc(function, dofs)]
     problem, uh = solved(scene, slave)
     assert relative_error(V, uh, exact) < 1e-10
-    assert problem.report.contacts[0].pairing["discretisation"] == "tied"
+    assert problem.report.contacts[0].matching["discretisation"] == "tied"
 
 
 @pytest.mark.parametrize("cell", CELLS)
@@ -93,7 +93,7 @@ def test_tension(cell):
     np.testing.assert_allclose(tie.traction, traction, atol=1e-7 * PRESSURE)
     assert tie.gather().nodes.tolist() == tie.nodes.tolist()
     # nodes on planes of symmetry have conditions in the other components
-    assert problem.report.contacts[0].pairing["unmatched"] == 0
+    assert problem.report.contacts[0].matching["unmatched"] == 0
 
 
 def test_tied_block_with_a_floor():
@@ -107,7 +107,7 @@ def test_tied_block_with_a_floor():
     push.value = -2.0 * PRESSURE
     problem.solve()
     assert problem.results[0].normal_force.sum() == pytest.approx(2.0 * PRESSURE)
-    assert [entry["discretisation"] for entry in [c.pairing for c in problem.report.contacts]] == [
+    assert [entry["discretisation"] for entry in [c.matching for c in problem.report.contacts]] == [
         "obstacle",
         "tied",
     ]

@@ -13,7 +13,7 @@ from moved_blocks import CELLS, blocks, lifted
 from scenes import block_on_ball, normal_forces, two_beams
 
 from fenics_tfeti import Exact, InputError, Plane
-from fenics_tfeti.fem.contact.conditions.conditions import Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import Terms
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, ContactResult
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact, gather_solved
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -46,9 +46,9 @@ def result_of(matched, pressure):
     )
 
 
-def stretched(pairing, factor):
+def stretched(conditions, factor):
     """Return conditions of surfaces whose area is larger by a factor."""
-    larger = replace(pairing, area=factor * pairing.area)
+    larger = replace(conditions, area=factor * conditions.area)
     vars(larger)["stretch"] = factor
     return larger
 
@@ -65,7 +65,7 @@ def transferred(coarse, contact, fine_match, displacement, pressure=linear, stre
 @every_cell
 def test_linear_pressure_is_transferred_exactly(cell):
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
-    matched = fine.pairing(fine.pair)
+    matched = fine.conditions(fine.pair)
     guess = transferred(coarse, coarse.pair, [matched], coarse.displacement())
     expected = linear(matched.coordinates) * matched.area
     np.testing.assert_allclose(guess.normal_force, expected, rtol=1e-12)
@@ -74,7 +74,7 @@ def test_linear_pressure_is_transferred_exactly(cell):
 def test_forces_are_transferred_between_states():
     """The coarse surface is twice as large as the undeformed one, the fine one three times."""
     coarse, fine = blocks("quadrilateral", n=2), blocks("quadrilateral", n=4)
-    matched = fine.pairing(fine.pair)
+    matched = fine.conditions(fine.pair)
     present = stretched(matched, 3.0)
     guess = transferred(coarse, coarse.pair, [present], coarse.displacement(), stretch=2.0)
     expected = 2.0 * linear(matched.coordinates) * matched.area
@@ -85,7 +85,7 @@ def test_forces_are_transferred_between_states():
 def test_linear_approach_closes_the_gap_of_the_fine_mesh(cell):
     """The slave goes down by 0.02 (1 + x), the master up by 0.01."""
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
-    matched = fine.pairing(fine.pair)
+    matched = fine.conditions(fine.pair)
     moved = coarse.displacement(
         lifted(lambda *x: 0.01 + 0.0 * x[0]), lifted(lambda *x: -0.02 * (1.0 + x[0]))
     )
@@ -99,7 +99,7 @@ def test_obstacle(cell):
     coarse, fine = blocks(cell, n=2), blocks(cell, n=4)
     up = np.eye(coarse.mesh.geometry.dim)[-1]
     floor = Plane(-0.5 * up, up)
-    matched = fine.pairing(fine.obstacle(floor))
+    matched = fine.conditions(fine.obstacle(floor))
     moved = coarse.displacement(lifted(lambda *x: -0.1 * x[0]))
     guess = transferred(coarse, coarse.obstacle(floor), [matched], moved)
     np.testing.assert_allclose(guess.gap, 0.5 - 0.1 * matched.coordinates[:, 0], atol=1e-14)
@@ -110,7 +110,7 @@ def test_obstacle(cell):
 def test_nodes_without_partner_say_nothing(cell):
     """A quarter of the coarse slave nodes have none: nothing leaks in, and gaps stay open."""
     coarse, fine = blocks(cell, n=4), blocks(cell, n=8)
-    matched = coarse.pairing(coarse.pair)
+    matched = coarse.conditions(coarse.pair)
     some = matched.coordinates[:, 0] < 1.8
     part = replace(
         matched,
@@ -122,7 +122,7 @@ def test_nodes_without_partner_say_nothing(cell):
     result = result_of(part, np.ones(some.sum()))
     moved = coarse.displacement(lifted(lambda *x: 0.01 + 0.0 * x[0]))
     solved = gather_solved([part], [result], moved)
-    there = fine.pairing(fine.pair)
+    there = fine.conditions(fine.pair)
     guess = expected_contact(solved, [there])
     near = there.coordinates[:, 0] < 2.0 - 1e-9
     np.testing.assert_allclose(guess.normal_force[near], there.area[near])

@@ -61,8 +61,8 @@ def pressed(cell, shape):
 
 
 def gaps(scene, contacts):
-    pairings = match_contacts(MeshBoundary.of(scene.V), contacts)
-    own = np.concatenate([pairing.gap for pairing in pairings])
+    all_conditions = match_contacts(MeshBoundary.of(scene.V), contacts)
+    own = np.concatenate([conditions.gap for conditions in all_conditions])
     return np.concatenate(MPI.COMM_WORLD.allgather(own))
 
 
@@ -89,12 +89,12 @@ def test_sides_that_come_to_face_the_slave(cell):
     """As bodies deform, or turn, before which the sides face nothing."""
     scene = pressed(cell, lambda x: x)
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
-    pairings = match_contacts(MeshBoundary.of(scene.V), [pair])
+    all_conditions = match_contacts(MeshBoundary.of(scene.V), [pair])
     uh, x = Function(scene.V), scene.V.tabulate_dof_coordinates()
     g = scene.mesh.geometry.dim
     moved = leaning(x[:, :g].T).T - x[:, :g]
     below = (x[:, g - 1] < 1.0 - 1e-9) | (x[:, 0] > -0.1) & (x[:, 0] < 1.1)
     uh.x.array.reshape(-1, g)[below] = moved[below]
-    for state in deformed_contacts([(pair, pairing) for pairing in pairings], uh):
+    for state in deformed_contacts([(pair, conditions) for conditions in all_conditions], uh):
         least = state.distance.min(initial=0.0)
         assert MPI.COMM_WORLD.allreduce(least, MPI.MIN) == pytest.approx(0.0, abs=1e-12)

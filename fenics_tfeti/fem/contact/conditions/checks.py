@@ -11,7 +11,7 @@ import numpy as np
 from dolfinx.fem import FunctionSpace
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_tags
@@ -40,24 +40,29 @@ def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -
             pairs[surfaces] = number
 
 
-def check_opposite(pairings: Sequence[Sequence[ContactPairing]]) -> None:
+def check_opposite(all_conditions: Sequence[Sequence[ContactConditions]]) -> None:
     """Check that surfaces have another one or an obstacle opposite them. Collective.
 
     The conditions are those of the parts of each contact.
     """
-    mortars = [parts for parts in pairings if any(part.is_mortar for part in parts)]
+    mortars = [parts for parts in all_conditions if any(part.is_mortar for part in parts)]
     check_covered(
         [parts[0].surface for parts in mortars],
         [sum(int(part.covered.sum()) for part in parts) for parts in mortars],
         [sum(part.gap.size for part in parts) for parts in mortars],
     )
-    for pairing in (part for parts in pairings for part in parts if part.master_surface is None):
-        near = np.isfinite(pairing.gap)
-        facing = np.sum(pairing.normal * pairing.surface.normal[pairing.on_surface], axis=1) > 0.0
+    for conditions in (
+        part for parts in all_conditions for part in parts if part.master_surface is None
+    ):
+        near = np.isfinite(conditions.gap)
+        facing = (
+            np.sum(conditions.normal * conditions.surface.normal[conditions.on_surface], axis=1)
+            > 0.0
+        )
         counts = np.array([near.sum(), (near & facing).sum()])
-        total, faced = pairing.surface.comm.allreduce(counts).tolist()
+        total, faced = conditions.surface.comm.allreduce(counts).tolist()
         if total and not faced:
-            raise points_away(pairing.name, total)
+            raise points_away(conditions.name, total)
 
 
 def points_away(name: str, nodes: int) -> InputError:
@@ -69,19 +74,23 @@ def points_away(name: str, nodes: int) -> InputError:
     )
 
 
-def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[ContactPairing]) -> None:
+def check_depth(
+    space: FunctionSpace, bodies: Bodies, all_conditions: Sequence[ContactConditions]
+) -> None:
     """Check that no slave node is deeper in its master than either body is thick. Collective.
 
     So deep are surfaces that lie back to back, each on the far side of its body. The thickness is
     that of the body's bounding box along the normal.
     """
     comm, gdim = space.mesh.comm, space.mesh.geometry.dim
-    rows = [np.flatnonzero((p.master >= 0) & (p.gap < 0.0)) for p in pairings]
+    rows = [np.flatnonzero((p.master >= 0) & (p.gap < 0.0)) for p in all_conditions]
     contact = np.repeat(np.arange(len(rows)), [part.size for part in rows])
     if not comm.allreduce(contact.size):
         return
     slave, master, normal, gap, points = (
-        np.concatenate([getattr(p, name)[part] for p, part in zip(pairings, rows, strict=True)])
+        np.concatenate(
+            [getattr(p, name)[part] for p, part in zip(all_conditions, rows, strict=True)]
+        )
         for name in ("slave", "master", "normal", "gap", "coordinates")
     )
     size = _sizes_of_bodies(space, bodies)
@@ -89,7 +98,7 @@ def check_depth(space: FunctionSpace, bodies: Bodies, pairings: Sequence[Contact
     body = nodes.reduced_over_cells(bodies.of_cell, np.maximum)
     of_ends = size[nodes.values_at(body, np.stack([slave, master]))]
     thickness = np.sum(np.abs(normal) * of_ends, axis=2).min(axis=0)
-    names = [pairing.name for pairing in pairings]
+    names = [conditions.name for conditions in all_conditions]
     if bad := first_wrong(comm, -gap > thickness, points[:, :gdim], contact, names):
         deepest = -comm.allreduce(float(gap[contact == bad.contact].min(initial=0.0)), MPI.MIN)
         raise InputError(

@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
 from fenics_tfeti.fem.contact.conditions.mortars import mortar_conditions
 from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_surface
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_weight
@@ -39,8 +39,8 @@ class DeformedContact:
 
     # with the conditions of the deformed surfaces, whose gaps are bounds of the total displacement:
     # between nodes with the partners that are opposite now, of mortars at other nodes perhaps
-    pairing: ContactPairing
-    before: ContactPairing
+    conditions: ContactConditions
+    before: ContactConditions
     gap: Vector  # distance from the master or obstacle at the new conditions; negative inside [m]
     # depth in the master body or obstacle at the new conditions; 0 outside [m]
     penetration: Vector
@@ -50,7 +50,7 @@ class DeformedContact:
     def normal(self) -> Vector:
         """Deformed outward unit normals (k, gdim); those before without new condition."""
         normal, (old_rows, new_rows) = self.before.normal.copy(), self._common_rows
-        normal[old_rows] = self.pairing.normal[new_rows]
+        normal[old_rows] = self.conditions.normal[new_rows]
         return normal
 
     @cached_property
@@ -75,7 +75,7 @@ class DeformedContact:
         size, (old_rows, new_rows) = self._facet_size, self._common_rows
         # mean places on the slave, less those on the master
         x = self.boundary.coordinates[:, : self.boundary.nodes.components]
-        offset = self.before.relative(x)[old_rows] - self.pairing.relative(x)[new_rows]
+        offset = self.before.relative(x)[old_rows] - self.conditions.relative(x)[new_rows]
         offset = tangential_part(offset, self.normal[old_rows])
         slip = np.ones_like(size)
         slip[old_rows] = np.linalg.norm(offset, axis=1) / size[old_rows]
@@ -88,13 +88,13 @@ class DeformedContact:
     @cached_property
     def _common_rows(self) -> tuple[Numbers, Numbers]:
         """The rows before and now of nodes that have conditions in both."""
-        slaves = self.before.slave, self.pairing.slave
+        slaves = self.before.slave, self.conditions.slave
         _, old_rows, new_rows = np.intersect1d(*slaves, return_indices=True)
         return old_rows, new_rows
 
 
 def deformed_contacts(
-    contacts: Sequence[tuple[Contact, ContactPairing]],
+    contacts: Sequence[tuple[Contact, ContactConditions]],
     displacement: Function,
     turns_normals: bool = True,
 ) -> list[DeformedContact]:
@@ -113,65 +113,65 @@ def deformed_contacts(
     boundary = contacts[0][1].surface.boundary.deformed(displacement)
     # what all ranks need the whole of
     needed = [
-        [] if pairing.is_mortar else [surface.on(boundary) for surface in pairing.surfaces]
-        for _, pairing in contacts
+        [] if conditions.is_mortar else [surface.on(boundary) for surface in conditions.surfaces]
+        for _, conditions in contacts
     ]
     gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces]))
     u = boundary.nodes.values(displacement)
     measured = []
-    for (contact, pairing), surfaces in zip(contacts, needed, strict=True):
-        surface = pairing.surface
+    for (contact, conditions), surfaces in zip(contacts, needed, strict=True):
+        surface = conditions.surface
         if isinstance(contact, ContactPair) and contact.normal is not None and turns_normals:
             rotations = SurfaceRotations.of(surface, boundary)
             surface = replace(surface, normal=rotations.turned(surface.normal))
         whole = [next(gathered) for _ in surfaces]
-        new, depth = _deformed(contact, pairing, surface.normal, whole, boundary)
+        new, depth = _deformed(contact, conditions, surface.normal, whole, boundary)
         moved = np.sum(new.relative(u) * new.normal, axis=1)
         distance, depth, gap = map(surface.without_rounding, (new.gap, depth, new.gap + moved))
         total = replace(new, gap=gap, made_on=boundary)
-        measured.append(DeformedContact(total, pairing, distance, depth, boundary))
+        measured.append(DeformedContact(total, conditions, distance, depth, boundary))
     return measured
 
 
 def _deformed(
     contact: Contact,
-    pairing: ContactPairing,
+    conditions: ContactConditions,
     user_normal: Vector,
     surfaces: Sequence[SurfaceFacets],
     boundary: MeshBoundary,
-) -> tuple[ContactPairing, Vector]:
+) -> tuple[ContactConditions, Vector]:
     """Return the new conditions of a contact, and depths of penetration there. Collective.
 
     They are made with its whole deformed surfaces; none for mortars. Where the user has given
     normals, they are those (k, gdim) at the nodes of the surface. The gaps are distances of the
     deformed surfaces.
     """
-    if pairing.is_mortar:
+    if conditions.is_mortar:
         assert isinstance(contact, ContactPair)
-        new = _deformed_mortar(contact, pairing, user_normal, boundary)
+        new = _deformed_mortar(contact, conditions, user_normal, boundary)
         return new, np.maximum(-new.gap, 0.0)
     if isinstance(contact, RigidObstacle):
-        surface = deformed_surface(pairing.surface, surfaces[0], boundary)
+        surface = deformed_surface(conditions.surface, surfaces[0], boundary)
         found = conditions_at_obstacle(surface, contact.obstacle)
         parts = vars(found) | {"coverage": np.ones_like(found.gap)}
-        new = replace(pairing, **parts)
+        new = replace(conditions, **parts)
         return new, np.maximum(-new.gap, 0.0)
     assert isinstance(contact, ContactPair)
     if contact.normal is not None:
-        surface = pairing.surface.on(boundary, user_normal)
+        surface = conditions.surface.on(boundary, user_normal)
     else:
-        surface = deformed_surface(pairing.surface, surfaces[0], boundary)
-        surface = surface.with_normals_of(pairing.covered)
-    return _deformed_pairs(pairing, surface, *surfaces)
+        surface = deformed_surface(conditions.surface, surfaces[0], boundary)
+        surface = surface.with_normals_of(conditions.covered)
+    return _deformed_pairs(conditions, surface, *surfaces)
 
 
 def _deformed_pairs(
-    pairing: ContactPairing, surface: Surface, slave: SurfaceFacets, master: SurfaceFacets
-) -> tuple[ContactPairing, Vector]:
+    conditions: ContactConditions, surface: Surface, slave: SurfaceFacets, master: SurfaceFacets
+) -> tuple[ContactConditions, Vector]:
     """Return new pairs of nodes and depths, with the slave's deformed surface. Collective."""
-    rows = np.searchsorted(slave.nodes, pairing.slave)
-    partner = np.searchsorted(master.nodes, pairing.master)
-    normal = surface.normal[pairing.on_surface]
+    rows = np.searchsorted(slave.nodes, conditions.slave)
+    partner = np.searchsorted(master.nodes, conditions.master)
+    normal = surface.normal[conditions.on_surface]
     distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
     # a partner is kept unless its distance from where the normal meets the master is more than 1.5
     # times that of the nearest node: otherwise the passes could alternate between two nodes
@@ -179,17 +179,17 @@ def _deformed_pairs(
     closest, nearest = cKDTree(master.points).query(foot)
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     partner = np.where(current > 1.5 * closest, nearest, partner)
-    terms = Terms.of_nodes(pairing.slave, master.nodes[partner])
-    area = surface.areas(pairing.covered)[pairing.on_surface]
-    new = replace(pairing, terms=terms, normal=normal, gap=distance, area=area)
+    terms = Terms.of_nodes(conditions.slave, master.nodes[partner])
+    area = surface.areas(conditions.covered)[conditions.on_surface]
+    new = replace(conditions, terms=terms, normal=normal, gap=distance, area=area)
     return new, np.maximum(-signed, 0.0)
 
 
 def _deformed_mortar(
-    contact: ContactPair, pairing: ContactPairing, user_normal: Vector, boundary: MeshBoundary
-) -> ContactPairing:
-    name, prescribed = pairing.name, pairing.prescribed
-    surface, tagged_master = (surface.on(boundary) for surface in pairing.surfaces)
+    contact: ContactPair, conditions: ContactConditions, user_normal: Vector, boundary: MeshBoundary
+) -> ContactConditions:
+    name, prescribed = conditions.name, conditions.prescribed
+    surface, tagged_master = (surface.on(boundary) for surface in conditions.surfaces)
     assert prescribed is not None
     slave, master = (gather_nearby(other, surface) for other in (surface, tagged_master))
     with raise_collectively(surface.comm):
@@ -201,17 +201,17 @@ def _deformed_mortar(
         surface = replace(surface, normal=user_normal)
     shared = np.intersect1d(slave.nodes, master.nodes)
     given = contact.normal is not None
-    conditions = mortar_conditions(surface, master, shared, prescribed, pairing.slave, given)
-    check_weight(conditions, pairing.surface)
+    new = mortar_conditions(surface, master, shared, prescribed, conditions.slave, given)
+    check_weight(new, conditions.surface)
     return replace(
-        pairing,
-        terms=conditions.terms,
-        normal=conditions.normal,
-        gap=np.sum(conditions.gap * conditions.normal, axis=1),
-        area=conditions.area,
-        covered=conditions.covered,
-        coverage=conditions.coverage,
-        shares=conditions.shares,
+        conditions,
+        terms=new.terms,
+        normal=new.normal,
+        gap=np.sum(new.gap * new.normal, axis=1),
+        area=new.area,
+        covered=new.covered,
+        coverage=new.coverage,
+        shares=new.shares,
     )
 
 

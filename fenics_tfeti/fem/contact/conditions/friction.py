@@ -16,7 +16,11 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, SlaveValues, row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
+    ContactConditions,
+    SlaveValues,
+    row_values,
+)
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, Tresca
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
@@ -78,35 +82,35 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
 
 
 def nodal_friction(
-    contact: Contact, pairing: ContactPairing, fixed: Mask, boundary: MeshBoundary
+    contact: Contact, conditions: ContactConditions, fixed: Mask, boundary: MeshBoundary
 ) -> NodalFriction | None:
     """Evaluate the friction of a contact at its conditions; None without friction. Collective.
 
     The law belongs to the slave's surface and is asked at the undeformed nodes; the displacement of
     an obstacle where they are on the boundary now, for degree 2 in the mean around them.
     """
-    law, surface = contact.friction, pairing.surface
+    law, surface = contact.friction, conditions.surface
     if law is None:
         return None
-    values = _law_values(law, pairing)
+    values = _law_values(law, conditions)
     is_tresca = isinstance(law, Tresca)
-    moved = np.zeros_like(pairing.normal)
+    moved = np.zeros_like(conditions.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
-        label = f"{pairing.name}: the obstacle's displacement"
-        x = pairing.relative(boundary.coordinates)
+        label = f"{conditions.name}: the obstacle's displacement"
+        x = conditions.relative(boundary.coordinates)
         moved = vectors_at(surface.comm, contact.displacement, x, moved.shape[1], label)
     return NodalFriction(
-        tangents(pairing.normal, fixed[surface.local][pairing.on_surface]),
-        np.where(is_tresca, values * pairing.area, 0.0),
+        tangents(conditions.normal, fixed[surface.local][conditions.on_surface]),
+        np.where(is_tresca, values * conditions.area, 0.0),
         np.where(is_tresca, 0.0, values),
         moved,
     )
 
 
-def _law_values(law: FrictionLaw, pairing: ContactPairing) -> Vector:
+def _law_values(law: FrictionLaw, conditions: ContactConditions) -> Vector:
     """Return a law's bound or coefficient (k,), at least 0, at the conditions. Collective."""
     ((label, value),) = vars(law).items()
-    label, nodes = f"{pairing.name}: {label}", pairing.surface.boundary.nodes
+    label, nodes = f"{conditions.name}: {label}", conditions.surface.boundary.nodes
     space = nodes.space
     with raise_collectively(nodes.comm):
         if isinstance(value, Function):
@@ -119,9 +123,9 @@ def _law_values(law: FrictionLaw, pairing: ContactPairing) -> Vector:
                     f"{label} is a Function of {family} elements of degree {degree} and shape "
                     f"{shape}; a scalar one of Lagrange elements of degree 1 is expected"
                 )
-            value = value.x.array[nodes_in(source, space)[pairing.slave - nodes.first]]
+            value = value.x.array[nodes_in(source, space)[conditions.slave - nodes.first]]
     gdim = nodes.components
-    return scalars_at(nodes.comm, value, pairing.coordinates, gdim, label, lowest=0.0)
+    return scalars_at(nodes.comm, value, conditions.coordinates, gdim, label, lowest=0.0)
 
 
 def friction_rows(

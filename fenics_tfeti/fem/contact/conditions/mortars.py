@@ -13,7 +13,7 @@ from itertools import permutations
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.contact.conditions.conditions import (
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     Accuracy,
     Conditions,
     PressureShares,

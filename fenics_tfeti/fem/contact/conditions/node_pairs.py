@@ -10,7 +10,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import Accuracy, Conditions, JoinedPairs, Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
+    Accuracy,
+    Conditions,
+    JoinedPairs,
+    Terms,
+)
 from fenics_tfeti.fem.contact.descriptions.partners import (
     Along,
     Mapped,

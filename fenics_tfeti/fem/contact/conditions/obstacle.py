@@ -13,9 +13,9 @@ from mpi4py import MPI
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing, Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
 from fenics_tfeti.fem.contact.conditions.mortars import one_sided_conditions
-from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
+from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.shapes import (
     Cylinder,
@@ -52,9 +52,9 @@ def match_obstacle(
     boundary: MeshBoundary,
     name: str,
     contact: RigidObstacle,
-    earlier: ContactPairing | None,
+    earlier: ContactConditions | None,
     deformed: MeshBoundary | None = None,
-) -> ContactPairing:
+) -> ContactConditions:
     """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
 
     The surface of an earlier result is used again. With a deformed boundary the obstacle is
@@ -76,11 +76,11 @@ def match_obstacle(
     rows = slave.rows_of(found.terms.slave)
     of_rows, angle = slave.contact[rows], angles_between(surface.normal[rows], found.normal)
     gap = slave.without_rounding(found.gap, of_rows)
-    (summary,) = pairing_summaries(
+    (summary,) = matching_summaries(
         slave.comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=found.area
     )
     coverage = np.ones_like(gap)
-    return ContactPairing(
+    return ContactConditions(
         found.terms, found.normal, gap, found.area, summary, slave, found.covered, coverage
     )
 

@@ -1,4 +1,4 @@
-"""The pairing of a contact in numbers, for the report."""
+"""How a contact was matched, in numbers, for the report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ENTRIES = (
 )
 
 
-def pairing_summaries(
+def matching_summaries(
     comm: MPI.Intracomm,
     names: Sequence[str],
     discretisation: str,
@@ -34,7 +34,7 @@ def pairing_summaries(
     covered_area: Array | None = None,
     deviation: Vector | None = None,
 ) -> list[dict[str, Any]]:
-    """Summarise the pairing of each contact; the same on all ranks. Collective.
+    """Summarise how each contact was matched; the same on all ranks. Collective.
 
     Arrays (k,) are of the conditions: their contacts, gaps [m], infinite where there is no
     obstacle, angles between the slave's normals and the opposite of the master's [degrees], the

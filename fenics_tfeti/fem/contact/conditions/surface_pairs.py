@@ -18,15 +18,15 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import (
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     Conditions,
-    ContactPairing,
+    ContactConditions,
     JoinedPairs,
     PressureShares,
 )
 from fenics_tfeti.fem.contact.conditions.mortars import mortar_conditions
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
-from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
+from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -54,7 +54,7 @@ Parts: TypeAlias = Mapping[int, tuple[NamedPair, Indices, Indices]]  # facets of
 
 def match_pairs(
     boundary: MeshBoundary, pairs: Sequence[NamedPair], fixed: Mask
-) -> list[list[ContactPairing]]:
+) -> list[list[ContactConditions]]:
     """Find the slave's nodes, normals, partners and gaps of pairs, this rank's part. Collective.
 
     A pair has several parts where its surfaces have sharp edges or its masters share no nodes: in
@@ -81,7 +81,7 @@ def match_pairs(
     is_patch = [isinstance(contact, Patch) for _, contact in pairs]
     facets = tagged_facets(boundary, tagged, np.repeat(is_patch, 2))
     whole = dict(enumerate(zip(pairs, facets[::2], facets[1::2], strict=True)))
-    found: list[list[ContactPairing]] = [[] for _ in pairs]
+    found: list[list[ContactConditions]] = [[] for _ in pairs]
     for k, (_, contact) in enumerate(pairs):
         if contact.normal is not None or isinstance(contact.partners, NodePartners):
             found[k] = [*_matched(boundary, {0: whole.pop(k)}, fixed).values()]
@@ -124,7 +124,7 @@ def _split(boundary: MeshBoundary, whole: Parts) -> tuple[list[int], Parts]:
 
 def _matched(
     boundary: MeshBoundary, parts: Parts, fixed: Mask, match: Mask | None = None
-) -> dict[int, ContactPairing]:
+) -> dict[int, ContactConditions]:
     """Match pairs that are alike in the user's partners and normals, by number. Collective.
 
     Of which of them the meshes match is found if it is not known.
@@ -159,7 +159,7 @@ def _matched(
         given = contacts[0].normal is not None
         found = mortar_conditions(slave, master, shared, prescribed, none, given)
         check_weight(found, slave)
-    return dict(zip(parts, _pairings(boundary, pairs, found, prescribed), strict=True))
+    return dict(zip(parts, _conditions_of_parts(boundary, pairs, found, prescribed), strict=True))
 
 
 def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
@@ -222,9 +222,9 @@ def _smooth_faces(surface: Surface) -> Numbers:
     return connected_facets(surface.comm, keys, facet, len(vertices), normal)
 
 
-def _pairings(
+def _conditions_of_parts(
     boundary: MeshBoundary, pairs: JoinedPairs, found: Conditions, prescribed: Mask | None
-) -> list[ContactPairing]:
+) -> list[ContactConditions]:
     """Return the conditions of each pair, with initial gaps and the mesh's nodes. Collective."""
     slave, names, comm = pairs.slave, pairs.slave.names, pairs.slave.comm
     rows = slave.rows_of(found.terms.slave)
@@ -233,7 +233,7 @@ def _pairings(
     accuracy = found.accuracy()
     gap = initial_gaps(comm, pairs.contacts, contact, gap, accuracy.chord, places, names)
     deviation = accuracy.deviation
-    summaries = pairing_summaries(
+    summaries = matching_summaries(
         comm,
         names,
         "node_to_node" if prescribed is None else "mortar",
@@ -275,7 +275,7 @@ def _pairings(
         pairs.master.separated(boundary),
         shares,
     ]
-    return list(map(ContactPairing, *columns))
+    return list(map(ContactConditions, *columns))
 
 
 def initial_gaps(

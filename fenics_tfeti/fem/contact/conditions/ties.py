@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.conditions import row_values
+from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 from fenics_tfeti.fem.contact.conditions.mortars import tied_conditions
-from fenics_tfeti.fem.contact.conditions.summary import pairing_summaries
+from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
 from fenics_tfeti.fem.contact.descriptions.ties import (
@@ -62,14 +62,14 @@ class Preload:
 
 
 @dataclass(frozen=True)
-class TiedPairing:
+class TiedConditions:
     """The equality rows of a tie whose slave nodes this rank owns."""
 
     boundary: MeshBoundary
     rows: ContactRows  # the normals are directions of the slave's displacement
     nodes: Numbers  # (k,): slave nodes, ascending
     area: Vector  # (k,): that belongs to each; NaN where there is none [m^2 or m]
-    summary: dict[str, Any]  # the tie's entry of `Report.pairing`
+    summary: dict[str, Any]  # the tie's entry of `ContactEntry.matching`
     # of mortar conditions the slave's surface, and the components (s, gdim) prescribed at its nodes
     surface: Surface | None = None
     prescribed: Mask | None = None
@@ -101,7 +101,7 @@ class TiedPairing:
         np.subtract.at(force, position, row_forces[:, None] * self.rows.normal)
         return force
 
-    def with_turned_axis(self, uh: Function) -> TiedPairing:
+    def with_turned_axis(self, uh: Function) -> TiedConditions:
         """Return the rows of a bolt whose axis has turned with its cut. Collective."""
         assert self.preload is not None
         nodes = self.boundary.nodes
@@ -123,7 +123,7 @@ class TiedPairing:
             preload=replace(self.preload, rotation=rotation),
         )
 
-    def with_turned_gaps(self, deformed: MeshBoundary) -> TiedPairing:
+    def with_turned_gaps(self, deformed: MeshBoundary) -> TiedConditions:
         """Return the rows of surfaces whose gaps turn with the slave's facets. Collective.
 
         With the mean vectors g from the master to the slave, turned by R, the rows vanish where the
@@ -154,7 +154,7 @@ class TiedPairing:
 
 def rows_of_tie(
     boundary: MeshBoundary, tie: Tie, number: int, name: str, fixed: Mask, known: Preload | None
-) -> TiedPairing:
+) -> TiedConditions:
     """Return the rows of a tie, with `prescribed_components`. Collective.
 
     A bolt of this number had the known preload.
@@ -170,7 +170,9 @@ def rows_of_tie(
             return _linear_rows(boundary, tie, name)
 
 
-def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask) -> TiedPairing:
+def _tied_surfaces(
+    boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mask
+) -> TiedConditions:
     """Find the conditions of a tied pair. Collective."""
     comm = boundary.nodes.comm
     slave, tagged_master = _surfaces(boundary, pair, name)
@@ -197,7 +199,7 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
             "surfaces that lie on each other"
         )
     gap, accuracy = np.sum(fullest.gap * slave.normal[rows], axis=1), fullest.accuracy()
-    (summary,) = pairing_summaries(
+    (summary,) = matching_summaries(
         comm,
         [name],
         "tied",
@@ -222,7 +224,7 @@ def _tied_surfaces(boundary: MeshBoundary, pair: TiedPair, name: str, fixed: Mas
         for part, axis in zip(conditions, np.eye(len(conditions)), strict=True)
     ]
     rows_of_all = ContactRows.concatenate(components)
-    tied = TiedPairing(boundary, rows_of_all, nodes, area, summary, slave, fixed, shares)
+    tied = TiedConditions(boundary, rows_of_all, nodes, area, summary, slave, fixed, shares)
     has_gaps = comm.allreduce(bool(slave.without_rounding(distance, slave.contact[rows]).any()))
     return replace(tied, of_means=rows_of_all).with_turned_gaps(boundary) if has_gaps else tied
 
@@ -246,15 +248,15 @@ class _Match:
     distance: Vector  # (k,): of the master's nodes from the places where they should be [m]
     angle: Vector  # (k,): between the normals of facets and the opposite of the master's [degrees]
 
-    def pairing(self, kind: str, rows: ContactRows) -> TiedPairing:
-        """Return the pairing with these rows. Collective."""
+    def conditions(self, kind: str, rows: ContactRows) -> TiedConditions:
+        """Return the conditions with these rows. Collective."""
         surface = self.surface
         contact = np.zeros(self.nodes.size, dtype=np.int64)
         distance = surface.without_rounding(self.distance, contact)
         whole = surface.areas(surface.whole)
         area = np.full(self.nodes.size, np.nan)
         area[np.searchsorted(self.nodes, surface.nodes)] = whole
-        (summary,) = pairing_summaries(
+        (summary,) = matching_summaries(
             surface.comm,
             surface.names,
             kind,
@@ -267,10 +269,10 @@ class _Match:
             np.nan_to_num(area),
             surface.area.sum(keepdims=True),
         )
-        return TiedPairing(surface.boundary, rows, self.nodes, area, summary)
+        return TiedConditions(surface.boundary, rows, self.nodes, area, summary)
 
 
-def _periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedPairing:
+def _periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> TiedConditions:
     """Return the rows of a periodic pair. Collective."""
     comm, gdim = boundary.nodes.comm, boundary.nodes.components
     with raise_collectively(comm):
@@ -288,12 +290,12 @@ def _periodic_rows(boundary: MeshBoundary, pair: PeriodicPair, name: str) -> Tie
         places = boundary.coordinates[match.nodes - boundary.nodes.first]
         jump = vectors_at(comm, pair.jump, places, gdim, f"the jump of {name}")
     rows = _rows(match.nodes, match.master, np.identity(gdim), Q, jump)
-    return match.pairing("periodic", rows)
+    return match.conditions("periodic", rows)
 
 
 def _preload_rows(
     boundary: MeshBoundary, bolt: BoltPreload, number: int, name: str, known: Preload | None
-) -> TiedPairing:
+) -> TiedConditions:
     """Return the rows of the cut through a bolt: across its axis and along it. Collective.
 
     If its force is given, the shortening is the motion of a body of one node, which is taken from a
@@ -320,10 +322,10 @@ def _preload_rows(
         along = np.flatnonzero(np.arange(rows.size) % gdim == 0)
         size = (along.size, 1)
         rows = rows.with_terms(along, np.repeat(body.nodes, along.size), np.tile(-axis, size))
-    return replace(match.pairing("bolt", rows), preload=preload)
+    return replace(match.conditions("bolt", rows), preload=preload)
 
 
-def _linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPairing:
+def _linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedConditions:
     """Return the user's rows, those with the slaves that this rank owns. Collective."""
     nodes = boundary.nodes
     gdim = nodes.components
@@ -356,10 +358,10 @@ def _linear_rows(boundary: MeshBoundary, given: LinearRows, name: str) -> TiedPa
         np.zeros(slaves.size, dtype=np.int64),
     )
     distinct, none = np.unique(slave), np.zeros(slaves.size)
-    (summary,) = pairing_summaries(
+    (summary,) = matching_summaries(
         nodes.comm, [name], "rows", rows.contact, none, none, rows.contact
     )
-    return TiedPairing(boundary, rows, distinct, np.full(distinct.size, np.nan), summary)
+    return TiedConditions(boundary, rows, distinct, np.full(distinct.size, np.nan), summary)
 
 
 def _matched(

@@ -18,7 +18,7 @@ from dolfinx.fem import Function, FunctionSpace, locate_dofs_topological
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.conditions.conditions import Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import Terms
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.decomposition.bodies import Bodies

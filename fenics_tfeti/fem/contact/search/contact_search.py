@@ -19,11 +19,11 @@ from fenics_tfeti.fem.contact.conditions.checks import (
     check_different_surfaces,
     check_opposite,
 )
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
-from fenics_tfeti.fem.contact.conditions.ties import TiedPairing, rows_of_tie
+from fenics_tfeti.fem.contact.conditions.ties import TiedConditions, rows_of_tie
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie
 from fenics_tfeti.fem.contact.descriptions.contacts import (
     Contact,
@@ -49,7 +49,7 @@ from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
 from fenics_tfeti.typing import Mask, Vector
 
 Key = TypeVar("Key")
-Pairing = TypeVar("Pairing", ContactPairing, TiedPairing)
+Pairing = TypeVar("Pairing", ContactConditions, TiedConditions)
 
 
 class ContactSearch:
@@ -99,7 +99,7 @@ class ContactSearch:
         self,
         contacts: Sequence[Contact | Tie],
         prescribed: Prescribed,
-        kept: Mapping[int, TiedPairing] | None = None,
+        kept: Mapping[int, TiedConditions] | None = None,
     ) -> ContactSet:
         """Return the undeformed conditions; only what changed is searched again. Collective.
 
@@ -140,21 +140,26 @@ class ContactSearch:
             ]
             if not self._may_turn:
                 check_opposite(of_tags)
-            checked = {id(pairing) for _, pairing in known}
-            new = [pairing for parts in of_tags for pairing in parts if id(pairing) not in checked]
+            checked = {id(conditions) for _, conditions in known}
+            new = [
+                conditions
+                for parts in of_tags
+                for conditions in parts
+                if id(conditions) not in checked
+            ]
             check_depth(self._space, self._bodies, new)
             found_contacts = [
-                FoundContact(k, keys[k], roles, pairing, pairing, part=part, patch=patch).placed(
-                    self.rigid
-                )
+                FoundContact(
+                    k, keys[k], roles, conditions, conditions, part=part, patch=patch
+                ).placed(self.rigid)
                 for (k, patch, roles), parts in zip(touching, matched, strict=True)
-                for part, pairing in enumerate(parts)
+                for part, conditions in enumerate(parts)
             ]
             fixed = prescribed_components(self.boundary.nodes, prescribed)
-            mortar = {id(f.tie): f.pairing for f in last.ties if f.pairing.is_mortar}
+            mortar = {id(f.tie): f.conditions for f in last.ties if f.conditions.is_mortar}
             old = {k: mortar[id(tie)] for k, tie in ties.items() if id(tie) in mortar}
             unchanged, found_ties = _unchanged(self.boundary, old, fixed) | dict(kept or {}), []
-            preloads = {found.number: found.pairing.preload for found in last.ties}
+            preloads = {found.number: found.conditions.preload for found in last.ties}
             for k, tie in ties.items():
                 tied = unchanged.get(k) or rows_of_tie(
                     self.boundary, tie, k, contact_name(tie, k), fixed, preloads.get(k)
@@ -232,7 +237,7 @@ class ContactSearch:
         for found in contacts:
             if found.body is not None and found.body.gdim != gdim:
                 raise InputError(
-                    f"{found.pairing.name}: the reference point of the body has "
+                    f"{found.conditions.name}: the reference point of the body has "
                     f"{found.body.gdim} coordinates, the mesh {gdim}"
                 )
 
@@ -281,8 +286,8 @@ class ContactSearch:
         if not new:
             return found
         stiffness = nodal_stiffness(self.boundary.nodes, torn)
-        pairings = [found.contacts[index].undeformed for index in new]
-        ratios, poor = roles_ratios(comm, pairings, stiffness), dict[str, Roles]()
+        all_conditions = [found.contacts[index].undeformed for index in new]
+        ratios, poor = roles_ratios(comm, all_conditions, stiffness), dict[str, Roles]()
         of_contacts: dict[str, tuple[Roles, list[float]]] = {}
         for index, of_part in zip(new, ratios, strict=True):
             entry = found.contacts[index]
@@ -302,7 +307,7 @@ class ContactSearch:
         with raise_collectively(comm):
             for index in new if comm.rank == 0 else ():
                 entry = decided[index]
-                entry.roles.warn(entry.pairing.name)
+                entry.roles.warn(entry.conditions.name)
                 warn_of_deviation(entry.undeformed.summary)
         return replace(found, contacts=decided)
 
@@ -319,9 +324,9 @@ class ContactSearch:
         self._roles |= {key: roles.exchanged() for key, roles in poor.items()}
         try:
             exchanged = self.find(contacts, found.prescribed)
-            of_poor: dict[str, list[ContactPairing]] = {key: [] for key in poor}
+            of_poor: dict[str, list[ContactConditions]] = {key: [] for key in poor}
             for part in exchanged.contacts:
-                of_poor.get(part.contact_key, []).append(part.pairing)
+                of_poor.get(part.contact_key, []).append(part.conditions)
             check_opposite([*of_poor.values()])
             return exchanged
         except InputError as error:
@@ -337,11 +342,11 @@ class ContactSearch:
 def match_parts(
     boundary: MeshBoundary,
     contacts: Sequence[Contact],
-    known: Sequence[tuple[Contact, ContactPairing]] = (),
+    known: Sequence[tuple[Contact, ContactConditions]] = (),
     prescribed: Prescribed | None = None,
     names: Sequence[str] | None = None,
     displacement: Function | None = None,
-) -> list[list[ContactPairing]]:
+) -> list[list[ContactConditions]]:
     """Match the surfaces of all contacts, and check that new ones join no others. Collective.
 
     Each contact has one or more parts, see `match_pairs`. Of the known results, pairs are not
@@ -349,9 +354,9 @@ def match_parts(
     tell planes of symmetry. By default contacts without a name get one by their place. Obstacles
     are evaluated on surfaces deformed by a displacement, if one is given.
     """
-    comm, earlier = boundary.nodes.comm, dict[int, list[ContactPairing]]()
-    for contact, pairing in known:
-        earlier.setdefault(id(contact), []).append(pairing)
+    comm, earlier = boundary.nodes.comm, dict[int, list[ContactConditions]]()
+    for contact, conditions in known:
+        earlier.setdefault(id(contact), []).append(conditions)
     deformed = None
     if displacement is not None:
         displacement.x.scatter_forward()
@@ -366,16 +371,16 @@ def match_parts(
     }
     fixed = prescribed_components(boundary.nodes, prescribed or Prescribed())
     old = {
-        (k, part): pairing
+        (k, part): conditions
         for k, (_, pair) in pairs.items()
-        for part, pairing in enumerate(earlier.get(id(pair), []))
+        for part, conditions in enumerate(earlier.get(id(pair), []))
     }
     unchanged = _unchanged(boundary, old, fixed)
     changed = {k for k, _ in old.keys() - unchanged.keys()}
-    found: dict[int, list[ContactPairing]] = {}
-    for (k, _), pairing in unchanged.items():
+    found: dict[int, list[ContactConditions]] = {}
+    for (k, _), conditions in unchanged.items():
         if k not in changed:
-            found.setdefault(k, []).append(_refreshed(pairs[k], pairing))
+            found.setdefault(k, []).append(_refreshed(pairs[k], conditions))
     pairs = {k: pair for k, pair in pairs.items() if k not in found}
     found |= dict(zip(pairs, match_pairs(boundary, [*pairs.values()], fixed), strict=True))
     for k, (name, contact) in enumerate(zip(names, contacts, strict=True)):
@@ -403,7 +408,7 @@ def _unchanged(
     return {k: old for (k, old), kept in zip(known.items(), holds, strict=True) if kept}
 
 
-def _refreshed(pair: NamedPair, old: ContactPairing) -> ContactPairing:
+def _refreshed(pair: NamedPair, old: ContactConditions) -> ContactConditions:
     """Return earlier conditions with what may have changed of the user's data. Collective."""
     (name, contact), surface = pair, old.surface
     if callable(contact.initial_gap):

@@ -13,7 +13,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.typing import Vector
@@ -27,24 +27,24 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
 
 
 def roles_ratios(
-    comm: MPI.Intracomm, pairings: Sequence[ContactPairing], stiffness: Vector
+    comm: MPI.Intracomm, all_conditions: Sequence[ContactConditions], stiffness: Vector
 ) -> list[float | None]:
     """Return E / h of slaves over that of masters, 0 of rigid ones. Collective.
 
     It is None of pairs of nodes and of surfaces that are not opposite each other.
     """
-    sums = np.zeros((len(pairings), 2, 3))
-    rows = comm.allreduce(np.array([pairing.gap.size for pairing in pairings]))
-    for row, pairing in enumerate(pairings):
-        for column, surface in enumerate(pairing.surfaces):
+    sums = np.zeros((len(all_conditions), 2, 3))
+    rows = comm.allreduce(np.array([conditions.gap.size for conditions in all_conditions]))
+    for row, conditions in enumerate(all_conditions):
+        for column, surface in enumerate(conditions.surfaces):
             of_nodes = (stiffness[surface.local].sum(), surface.size.sum(), surface.nodes.size)
             sums[row, column] = of_nodes
     comm.Allreduce(MPI.IN_PLACE, sums)
-    ratios: list[float | None] = [None] * len(pairings)
-    for k, pairing in enumerate(pairings):
-        if pairing.is_mortar and rows[k]:
+    ratios: list[float | None] = [None] * len(all_conditions)
+    for k, conditions in enumerate(all_conditions):
+        if conditions.is_mortar and rows[k]:
             entries, size, nodes = sums[k].T
             # entries / nodes over h^(d - 1); the dimension that divides both cancels
-            slave, master = entries / nodes * (size / nodes) ** (1 - pairing.normal.shape[1])
+            slave, master = entries / nodes * (size / nodes) ** (1 - conditions.normal.shape[1])
             ratios[k] = float(slave / master) if master > 0.0 else 0.0
     return ratios

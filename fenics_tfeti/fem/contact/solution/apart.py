@@ -32,32 +32,34 @@ _DEPTH = 1e-3
 _SAME_WAY = 0.1
 
 
-def contacts_apart(conditions: ContactSet, uh: Function) -> list[list[FoundContact]]:
+def contacts_apart(contact_set: ContactSet, uh: Function) -> list[list[FoundContact]]:
     """Return the parts of contacts whose displaced surfaces are opposite nothing. Collective.
 
     Pairs have no conditions then, obstacles face no node.
     """
     contacts: dict[int, list[FoundContact]] = {}
-    for found in conditions.contacts:
+    for found in contact_set.contacts:
         contacts.setdefault(found.number, []).append(found)
-    counts = [sum(_opposite(part, conditions, uh) for part in parts) for parts in contacts.values()]
-    counts = conditions.boundary.nodes.comm.allreduce(np.array(counts, dtype=np.int64)).tolist()
+    counts = [
+        sum(_opposite(part, contact_set, uh) for part in parts) for parts in contacts.values()
+    ]
+    counts = contact_set.boundary.nodes.comm.allreduce(np.array(counts, dtype=np.int64)).tolist()
     return [parts for parts, count in zip(contacts.values(), counts, strict=True) if not count]
 
 
-def wrong_side(conditions: ContactSet, uh: Function, bodies: Bodies) -> InputError | None:
+def wrong_side(contact_set: ContactSet, uh: Function, bodies: Bodies) -> InputError | None:
     """Return the error that displaced surfaces are apart, and never meet. Collective.
 
     They look the same way at all nodes: no small turn of either surface lets them meet. Or the
     bodies are inside each other, and no other contact is between them.
     """
-    comm = conditions.boundary.nodes.comm
-    for parts in contacts_apart(conditions, uh):
+    comm = contact_set.boundary.nodes.comm
+    for parts in contacts_apart(contact_set, uh):
         if isinstance(parts[0].contact, Patch):
             continue
-        along = np.concatenate([_along_normals(part, conditions, uh) for part in parts])
-        nodes, name = comm.allreduce(along.size), parts[0].pairing.name
-        is_pair = parts[0].pairing.master_surface is not None
+        along = np.concatenate([_along_normals(part, contact_set, uh) for part in parts])
+        nodes, name = comm.allreduce(along.size), parts[0].conditions.name
+        is_pair = parts[0].conditions.master_surface is not None
         if nodes and not any_rank(comm, along < _SAME_WAY):
             if not is_pair:
                 return points_away(name, nodes)
@@ -66,7 +68,7 @@ def wrong_side(conditions: ContactSet, uh: Function, bodies: Bodies) -> InputErr
                 "slave nodes: the outward normals of surfaces that touch point against each other. "
                 "Is one of the tags on the far side of its body, or on another body?"
             )
-        if is_pair and (place := _place_inside(parts[0], conditions, uh, bodies)):
+        if is_pair and (place := _place_inside(parts[0], contact_set, uh, bodies)):
             return InputError(
                 f"{name}: slave and master have not met, and one of the bodies is inside the other "
                 f"at {place}. Is one of the tags on another side of its body? Bodies are kept "
@@ -75,20 +77,22 @@ def wrong_side(conditions: ContactSet, uh: Function, bodies: Bodies) -> InputErr
     return None
 
 
-def _place_inside(found: FoundContact, conditions: ContactSet, uh: Function, bodies: Bodies) -> str:
+def _place_inside(
+    found: FoundContact, contact_set: ContactSet, uh: Function, bodies: Bodies
+) -> str:
     """Return a place of a surface inside the other body, or an empty text. Collective.
 
     Bodies that other contacts, or ties, keep apart or together may be inside each other a little.
     """
-    boundary = conditions.boundary.deformed(uh)
-    sides = _bodies_of(found.contact, conditions, bodies)
-    others: list[Contact | Tie] = [entry.tie for entry in conditions.ties]
-    others += [entry.contact for entry in conditions.contacts if entry.number != found.number]
-    joined = [_bodies_of(other, conditions, bodies) for other in others]
+    boundary = contact_set.boundary.deformed(uh)
+    sides = _bodies_of(found.contact, contact_set, bodies)
+    others: list[Contact | Tie] = [entry.tie for entry in contact_set.ties]
+    others += [entry.contact for entry in contact_set.contacts if entry.number != found.number]
+    joined = [_bodies_of(other, contact_set, bodies) for other in others]
     between = any(sides[0] & x[k] and sides[1] & x[1 - k] for x in joined for k in (0, 1))
     if sides[0] & sides[1] or between:
         return ""
-    surfaces = [surface.on(boundary) for surface in found.pairing.surfaces]
+    surfaces = [surface.on(boundary) for surface in found.conditions.surfaces]
     for surface, other in zip(surfaces, sides[::-1], strict=True):
         x, size = (concatenate_ranks(surface.comm, each) for each in (surface.points, surface.size))
         distance = _boundary_of(boundary, bodies, other).distance(x).signed
@@ -97,21 +101,21 @@ def _place_inside(found: FoundContact, conditions: ContactSet, uh: Function, bod
     return ""
 
 
-def _opposite(found: FoundContact, conditions: ContactSet, uh: Function) -> int:
+def _opposite(found: FoundContact, contact_set: ContactSet, uh: Function) -> int:
     """Return the number of this rank's nodes with something opposite. Collective."""
-    if found.pairing.master_surface is not None:
-        return found.pairing.gap.size
-    return int((_along_normals(found, conditions, uh) < 0.0).sum())
+    if found.conditions.master_surface is not None:
+        return found.conditions.gap.size
+    return int((_along_normals(found, contact_set, uh) < 0.0).sum())
 
 
-def _along_normals(found: FoundContact, conditions: ContactSet, uh: Function) -> Vector:
+def _along_normals(found: FoundContact, contact_set: ContactSet, uh: Function) -> Vector:
     """Return cosines (k,) of this rank's normals and those of what is nearest. Collective.
 
     Nodes without an obstacle have none.
     """
-    slave, *masters = (_displaced(surface, uh) for surface in found.pairing.surfaces)
+    slave, *masters = (_displaced(surface, uh) for surface in found.conditions.surfaces)
     if not masters:
-        contact = found.contact_at(conditions.bodies)
+        contact = found.contact_at(contact_set.bodies)
         assert isinstance(contact, RigidObstacle)
         gap, normal = gap_and_normal(slave, contact.obstacle, slave.coordinates, slave.normal)
         return np.sum(slave.normal * normal, axis=1)[np.isfinite(gap)]
@@ -132,10 +136,10 @@ def _displaced(surface: Surface, uh: Function) -> Surface:
 
 
 def _bodies_of(
-    user: Contact | Tie, conditions: ContactSet, bodies: Bodies
+    user: Contact | Tie, contact_set: ContactSet, bodies: Bodies
 ) -> tuple[set[int], set[int]]:
     """Return the bodies on both sides of a contact or tie of tagged surfaces. Collective."""
-    domain = conditions.boundary.space.mesh
+    domain = contact_set.boundary.space.mesh
     sides = list[set[int]]()
     for name in ("slave", "master"):
         found = np.zeros(0, dtype=np.int64)

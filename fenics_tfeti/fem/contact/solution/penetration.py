@@ -13,7 +13,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import format_point, warn_user
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.surface_pairs import user_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
@@ -24,7 +24,7 @@ from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
-def whole_surfaces(parts: Sequence[ContactPairing]) -> list[Surface]:
+def whole_surfaces(parts: Sequence[ContactConditions]) -> list[Surface]:
     """Return the surfaces of slave and master of all parts of a contact. Collective."""
     sides = zip(*(part.surfaces for part in parts), strict=True)
     return [_joined(surfaces) for surfaces in sides]
@@ -40,7 +40,7 @@ def _joined(surfaces: Sequence[Surface]) -> Surface:
 
 def measured_penetration(
     contact: ContactPair,
-    pairing: ContactPairing,
+    conditions: ContactConditions,
     whole: Sequence[Surface],
     conditioned: Numbers,
     uh: Function,
@@ -53,7 +53,7 @@ def measured_penetration(
     of the slave's surface is told. Gaps are those between the deformed surfaces; initial gaps of
     the user replace those of the mesh.
     """
-    slave, master = pairing.surfaces
+    slave, master = conditions.surfaces
     boundary, deformed = slave.boundary, slave.boundary.deformed(uh)
     chosen = [~np.isin(slave.nodes, conditioned), _on_border(master)]
     depths, places = [], []
@@ -65,7 +65,7 @@ def measured_penetration(
                 x = surface.coordinates[nodes]
             of_user = np.maximum(of_mesh, 0.0)
             if not isinstance(contact.initial_gap, str):
-                of_user = user_gaps(surface.comm, contact.initial_gap, x, pairing.name)
+                of_user = user_gaps(surface.comm, contact.initial_gap, x, conditions.name)
             is_opposite = np.isfinite(of_mesh) & np.isfinite(gap)
             gap[is_opposite] += (of_user - of_mesh)[is_opposite]
         depths.append(-surface.without_rounding(gap, surface.contact[nodes]))
@@ -81,7 +81,7 @@ def measured_penetration(
     largest, place = max(slave.comm.allgather(own))
     if largest > VISIBLE_PENETRATION * size:
         warn_user(
-            f"{pairing.name}: a node at {format_point(place, float(np.abs(place).max()))} is "
+            f"{conditions.name}: a node at {format_point(place, float(np.abs(place).max()))} is "
             f"inside the other body, by more than {VISIBLE_PENETRATION:.0%} of the deformation "
             "of the slave's surface (contacts[...].penetration in the report): the slave's facets "
             "are too large for conditions of their own there. Refine them, give bodies side by "

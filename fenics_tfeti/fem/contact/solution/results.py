@@ -24,7 +24,7 @@ class ContactEntry(ContactForces):
 
     Attributes
     ----------
-    pairing : dict
+    matching : dict
         The ``discretisation`` ("node_to_node", "mortar", "obstacle", "tied",
         "periodic", "bolt" or "rows"), the numbers of
         ``pairs`` (conditions) and ``unmatched`` slave nodes, ``largest_distance`` [m] (what the
@@ -49,7 +49,7 @@ class ContactEntry(ContactForces):
         Of a bolt: force in the shank along its axis [N], and by how much it is shortened [m].
     """
 
-    pairing: dict[str, Any]
+    matching: dict[str, Any]
     roles_ratio: float | None = None
     roles: str | None = None
     penetration: float | None = None
@@ -153,7 +153,7 @@ class ContactResult(_SurfaceResult):
     name : str
         Name of the contact.
     entry : ContactEntry
-        The contact's sums and pairing in the report; `force` and `moment` on the slave and
+        The contact's sums and matching in the report; `force` and `moment` on the slave and
         `friction_work` are properties too.
     nodes, dofs : (k,) integer array
         Global nodes of the displacement's space, and their numbers on this rank: the blocks of
@@ -238,9 +238,9 @@ class ContactResult(_SurfaceResult):
         friction = None
         if first.friction is not None:
             friction = _concatenated([part.friction for part in parts])
-        summary = joined_summary([part.entry.pairing for part in parts])
+        summary = joined_summary([part.entry.matching for part in parts])
         depths = [part.entry.penetration for part in parts if part.entry.penetration is not None]
-        entry = replace(first.entry, pairing=summary, penetration=max(depths, default=None))
+        entry = replace(first.entry, matching=summary, penetration=max(depths, default=None))
         return replace(_concatenated(parts), entry=entry, friction=friction)
 
     def seen_from_master(self) -> ContactResult:
@@ -270,7 +270,7 @@ class TiedResult(_SurfaceResult):
     name : str
         Name of the pair.
     entry : ContactEntry
-        The pair's sums and pairing in the report; `force` and `moment` on the slave are properties
+        The pair's sums and matching in the report; `force` and `moment` on the slave are properties
         too.
     nodes, dofs : (k,) integer array
         Global nodes of the displacement's space, and their numbers on this rank.

@@ -8,8 +8,8 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.conditions.conditions import (
-    ContactPairing,
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
+    ContactConditions,
     SlaveValues,
     contact_rows,
     mean_traction,
@@ -40,7 +40,7 @@ from fenics_tfeti.typing import Numbers, Vector
 class SolvedContacts:
     """A solution at contacts and tied pairs, with the conditions that it fulfils."""
 
-    conditions: ContactSet
+    contact_set: ContactSet
     contacts: list[ContactResult]  # in the roles that are used
     ties: list[TiedResult]
     displacement: Function
@@ -49,7 +49,7 @@ class SolvedContacts:
 
     @staticmethod
     def of(
-        conditions: ContactSet,
+        contact_set: ContactSet,
         solution: TornSolution,
         uh: Function,
         bodies: RigidBodies,
@@ -59,48 +59,48 @@ class SolvedContacts:
 
         Contact is on the deformed or on the undeformed surfaces.
         """
-        nodes, found = conditions.boundary.nodes, conditions.contacts
-        rows = contact_rows(conditions.pairings, nodes.components)
+        nodes, found = contact_set.boundary.nodes, contact_set.contacts
+        rows = contact_rows(contact_set.all_conditions, nodes.components)
         opening = (rows.gap - row_values(nodes, rows, owned_values(uh))) / rows.length
-        sites = consecutive([(f.friction is not None) * f.pairing.gap.size for f in found])
-        for f, own in zip(found, conditions.positions, strict=True):
+        sites = consecutive([(f.friction is not None) * f.conditions.gap.size for f in found])
+        for f, own in zip(found, contact_set.positions, strict=True):
             if f.on_body is not None:
                 frame = bodies.frame_of(f.body)
                 moved = frame.displacements(frame.motion, f.on_body.places)
-                opening[own] += np.sum(f.pairing.normal * moved, axis=1)
+                opening[own] += np.sum(f.conditions.normal * moved, axis=1)
         uh.x.scatter_forward()
-        deformed = conditions.boundary.deformed(uh) if on_deformed else None
+        deformed = contact_set.boundary.deformed(uh) if on_deformed else None
         contacts = [
-            _contact_result(conditions, f, solution, deformed, opening, *of_contact)
-            for f, *of_contact in zip(found, conditions.positions, sites, strict=True)
+            _contact_result(contact_set, f, solution, deformed, opening, *of_contact)
+            for f, *of_contact in zip(found, contact_set.positions, sites, strict=True)
         ]
-        rows_of_ties = consecutive([tie.pairing.rows.size for tie in conditions.ties])
-        shortenings = conditions.shortenings(solution.displacements)
+        rows_of_ties = consecutive([tie.conditions.rows.size for tie in contact_set.ties])
+        shortenings = contact_set.shortenings(solution.displacements)
         ties = [
-            _tied_result(conditions, tie, solution, own, shortenings.get(tie.number))
-            for tie, own in zip(conditions.ties, rows_of_ties, strict=True)
+            _tied_result(contact_set, tie, solution, own, shortenings.get(tie.number))
+            for tie, own in zip(contact_set.ties, rows_of_ties, strict=True)
         ]
-        results = [_body_result(conditions, frame, solution) for frame in bodies.frames]
-        return SolvedContacts(conditions, contacts, ties, uh, bodies, results)
+        results = [_body_result(contact_set, frame, solution) for frame in bodies.frames]
+        return SolvedContacts(contact_set, contacts, ties, uh, bodies, results)
 
     def with_penetration(self) -> SolvedContacts:
         """Return it with depths of nodes without a condition, told where they count. Collective."""
-        contacts, parts = [], dict[tuple[int, int], list[ContactPairing]]()
-        for found in self.conditions.contacts:
+        contacts, parts = [], dict[tuple[int, int], list[ContactConditions]]()
+        for found in self.contact_set.contacts:
             parts.setdefault((found.number, found.patch), []).append(found.undeformed)
         wholes = {
             pair: whole_surfaces(of_pair)
             for pair, of_pair in parts.items()
             if any(part.is_mortar for part in of_pair)
         }
-        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
-            contact, pairing = found.contact, found.pairing
-            if isinstance(contact, ContactPair) and pairing.is_mortar:
+        for found, result in zip(self.contact_set.contacts, self.contacts, strict=True):
+            contact, conditions = found.contact, found.conditions
+            if isinstance(contact, ContactPair) and conditions.is_mortar:
                 depth = measured_penetration(
                     contact,
                     found.undeformed,
                     wholes[found.number, found.patch],
-                    pairing.slave,
+                    conditions.slave,
                     self.displacement,
                 )
                 result = replace(result, entry=replace(result.entry, penetration=depth))
@@ -111,44 +111,44 @@ class SolvedContacts:
         """Return the results by number, in the roles that the user gave."""
         numbered: dict[int, ContactResult | TiedResult] = {}
         parts: dict[int, list[ContactResult]] = {}
-        for found, result in zip(self.conditions.contacts, self.contacts, strict=True):
+        for found, result in zip(self.contact_set.contacts, self.contacts, strict=True):
             is_exchanged = found.roles.used is not found.roles.given
             result = result.seen_from_master() if is_exchanged else result
             parts.setdefault(found.number, []).append(result)
         numbered |= {number: ContactResult.joined(results) for number, results in parts.items()}
-        for tie, tied_result in zip(self.conditions.ties, self.ties, strict=True):
+        for tie, tied_result in zip(self.contact_set.ties, self.ties, strict=True):
             numbered[tie.number] = tied_result
         return Results([numbered[number] for number in sorted(numbered)])
 
     def obstacle_displacements(self) -> SlaveValues:
         """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
-        conditions, keys, parts = self.conditions, list[str](), list[tuple[Numbers, Vector]]()
-        for found in conditions.contacts:
+        contact_set, keys, parts = self.contact_set, list[str](), list[tuple[Numbers, Vector]]()
+        for found in contact_set.contacts:
             if found.friction is None:
                 continue
             on, moved = found.on_body, found.friction.obstacle_displacement
             if on is not None:
-                before = conditions.bodies.frame_of(found.body)
+                before = contact_set.bodies.frame_of(found.body)
                 motion = self.bodies.frame_of(found.body).motion - before.motion
                 step = before.displacements(motion, on.places)
                 moved = on.slave - before.undeformed_places(on.slave) + step
             keys.append(found.history)
-            parts.append((conditions.dofs(found.pairing.slave), moved))
-        return SlaveValues.of(keys, parts, (conditions.boundary.nodes.components,))
+            parts.append((contact_set.dofs(found.conditions.slave), moved))
+        return SlaveValues.of(keys, parts, (contact_set.boundary.nodes.components,))
 
     def nodal_forces(self) -> SlaveValues:
         """Return the normal forces (k,) [N]."""
         parts = ((result.dofs, result.normal_force) for result in self.contacts)
-        return SlaveValues.of([found.history for found in self.conditions.contacts], parts)
+        return SlaveValues.of([found.history for found in self.contact_set.contacts], parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
-        solved = gather_solved(self.conditions.pairings, self.contacts, self.displacement)
-        return dict(zip(self.conditions.keys, solved, strict=True))
+        solved = gather_solved(self.contact_set.all_conditions, self.contacts, self.displacement)
+        return dict(zip(self.contact_set.keys, solved, strict=True))
 
 
 def _contact_result(
-    conditions: ContactSet,
+    contact_set: ContactSet,
     found: FoundContact,
     solution: TornSolution,
     deformed: MeshBoundary | None,
@@ -156,42 +156,42 @@ def _contact_result(
     rows: Numbers,
     sites: Numbers,
 ) -> ContactResult:
-    pairing, friction = found.pairing, found.friction
+    conditions, friction = found.conditions, found.friction
     if deformed is not None:
         # the solution has displaced the surfaces of its conditions
-        pairing = pairing.with_areas_of(deformed)
+        conditions = conditions.with_areas_of(deformed)
     force = solution.normal_force[rows]
-    pressure = pairing.mean_traction(force)
+    pressure = conditions.mean_traction(force)
     entry = ContactEntry(
         **vars(solution.report.contacts[found.number]),
-        pairing=found.undeformed.summary,
+        matching=found.undeformed.summary,
         roles_ratio=found.roles.ratio,
         roles=found.roles.reason,
     )
     return ContactResult(
-        pairing.name,
+        conditions.name,
         entry,
-        pairing.slave,
-        conditions.dofs(pairing.slave),
-        pairing.coordinates,
+        conditions.slave,
+        contact_set.dofs(conditions.slave),
+        conditions.coordinates,
         found.gap,
         opening[rows],
-        pairing.normal,
+        conditions.normal,
         normal_force=force,
         pressure=pressure,
-        nominal_pressure=pressure * pairing.stretch,
+        nominal_pressure=pressure * conditions.stretch,
         active=force > 0.0,
-        area=pairing.area,
-        coverage=pairing.coverage,
+        area=conditions.area,
+        coverage=conditions.coverage,
         friction=(
-            None if friction is None else _friction_result(friction, solution, sites, pairing)
+            None if friction is None else _friction_result(friction, solution, sites, conditions)
         ),
-        comm=conditions.boundary.nodes.comm,
+        comm=contact_set.boundary.nodes.comm,
     )
 
 
 def _friction_result(
-    friction: NodalFriction, solution: TornSolution, sites: Numbers, pairing: ContactPairing
+    friction: NodalFriction, solution: TornSolution, sites: Numbers, conditions: ContactConditions
 ) -> FrictionResult:
     """Return what a solution is at these sites, the conditions of a contact. Collective."""
     # on the slave forces are against the tangents
@@ -199,7 +199,7 @@ def _friction_result(
     slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
     return FrictionResult(
         force=slave_force,
-        traction=pairing.mean_traction(slave_force),
+        traction=conditions.mean_traction(slave_force),
         bound=solution.slip_bound[sites],
         slip=np.einsum("kt,kta->ka", slip, friction.tangents),
         sticking=solution.sticking[sites],
@@ -208,15 +208,15 @@ def _friction_result(
 
 
 def _tied_result(
-    conditions: ContactSet,
+    contact_set: ContactSet,
     found: FoundTie,
     solution: TornSolution,
     rows: Numbers,
     shortening: float | None,
 ) -> TiedResult:
     """Return the result of a tie; the shortening is that of a bolt where it is an unknown."""
-    tie, force = found.pairing, found.pairing.forces(solution.tied_force[rows])
-    entry = ContactEntry(**vars(solution.report.contacts[found.number]), pairing=tie.summary)
+    tie, force = found.conditions, found.conditions.forces(solution.tied_force[rows])
+    entry = ContactEntry(**vars(solution.report.contacts[found.number]), matching=tie.summary)
     if tie.preload is not None:
         tension = float(np.array(entry.force) @ tie.preload.direction)
         shortening = tie.preload.shortening if shortening is None else shortening
@@ -225,21 +225,21 @@ def _tied_result(
         tie.name,
         entry,
         tie.nodes,
-        conditions.dofs(tie.nodes),
+        contact_set.dofs(tie.nodes),
         tie.coordinates,
         force,
         mean_traction(tie.boundary.nodes, tie.shares, force, tie.area),
         tie.area,
-        conditions.boundary.nodes.comm,
+        contact_set.boundary.nodes.comm,
     )
 
 
 def _body_result(
-    conditions: ContactSet, frame: BodyFrame, solution: TornSolution
+    contact_set: ContactSet, frame: BodyFrame, solution: TornSolution
 ) -> RigidBodyResult:
     force, moment = np.zeros(frame.body.gdim), np.zeros(frame.body.modes - frame.body.gdim)
     # each contact once, which may have several parts
-    for found in {found.number: found for found in conditions.entries}.values():
+    for found in {found.number: found for found in contact_set.entries}.values():
         is_obstacle = isinstance(found, FoundContact) and found.body is frame.body
         if is_obstacle or found.rigid_master is frame.body:
             entry = solution.report.contacts[found.number]

@@ -14,7 +14,7 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.fem.contact.conditions.conditions import ContactPairing
+from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
@@ -34,19 +34,21 @@ class SolvedContact:
 
 
 def gather_solved(
-    pairings: Sequence[ContactPairing], results: Sequence[ContactResult], displacement: Function
+    all_conditions: Sequence[ContactConditions],
+    results: Sequence[ContactResult],
+    displacement: Function,
 ) -> list[SolvedContact]:
     """Gather the solution on the slaves' surfaces on every rank. Collective."""
     solved = []
-    for pairing, result in zip(pairings, results, strict=True):
-        nodes, slave = pairing.surface.boundary.nodes, pairing.surface.gathered()
-        relative = pairing.relative(nodes.values(displacement))
-        approach = np.sum(relative * pairing.normal, axis=1)
+    for conditions, result in zip(all_conditions, results, strict=True):
+        nodes, slave = conditions.surface.boundary.nodes, conditions.surface.gathered()
+        relative = conditions.relative(nodes.values(displacement))
+        approach = np.sum(relative * conditions.normal, axis=1)
         # not the pressure that is reported, which is a mean at the rim
-        force = result.normal_force / pairing.area * pairing.stretch
+        force = result.normal_force / conditions.area * conditions.stretch
         columns = np.column_stack([np.ones_like(approach), force, approach])
         conditioned, columns = (
-            concatenate_ranks(nodes.comm, column) for column in (pairing.slave, columns)
+            concatenate_ranks(nodes.comm, column) for column in (conditions.slave, columns)
         )
         values = np.zeros((slave.nodes.size, 3))
         values[np.searchsorted(slave.nodes, conditioned)] = columns
@@ -55,16 +57,16 @@ def gather_solved(
 
 
 def expected_contact(
-    solved: Sequence[SolvedContact], pairings: Sequence[ContactPairing]
+    solved: Sequence[SolvedContact], all_conditions: Sequence[ContactConditions]
 ) -> ContactGuess:
     """Transfer forces and gaps to this rank's conditions of the same contacts on another mesh."""
     forces, gaps = [np.zeros(0)], [np.zeros(0)]
-    for coarse, pairing in zip(solved, pairings, strict=True):
-        points = pairing.coordinates[:, : pairing.normal.shape[1]]
+    for coarse, conditions in zip(solved, all_conditions, strict=True):
+        points = conditions.coordinates[:, : conditions.normal.shape[1]]
         # the weight is the interpolated share of paired nodes; far from all there is no force
         weight, pressure, approach = coarse.surface.interpolate(coarse.values, points).T
         near = weight > RELATIVE_ROUNDING
         weight = np.where(near, weight, 1.0)
-        forces.append(np.where(near, pressure / weight * pairing.area / pairing.stretch, 0.0))
-        gaps.append(np.where(near, pairing.gap - approach / weight, np.inf))
+        forces.append(np.where(near, pressure / weight * conditions.area / conditions.stretch, 0.0))
+        gaps.append(np.where(near, conditions.gap - approach / weight, np.inf))
     return ContactGuess(np.concatenate(forces), np.concatenate(gaps))

@@ -44,18 +44,18 @@ def test_facets_are_oriented_outwards_and_carry_their_normals(cell):
 @pytest.mark.parametrize("cell", CELLS)
 def test_terms_of_a_condition(cell):
     V, tags = scene(Blocks(cell, 3, 4, width=0.63))
-    pairing = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
-    terms = pairing.terms
-    np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], pairing.slave)
-    assert (pairing.area > 0.0).all()
-    np.testing.assert_allclose(terms.scale, pairing.area)
-    assert pairing.area.sum() == pytest.approx(0.63 ** (V.mesh.geometry.dim - 1))
+    conditions = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
+    terms = conditions.terms
+    np.testing.assert_array_equal(terms.nodes[terms.offsets[:-1]], conditions.slave)
+    assert (conditions.area > 0.0).all()
+    np.testing.assert_allclose(terms.scale, conditions.area)
+    assert conditions.area.sum() == pytest.approx(0.63 ** (V.mesh.geometry.dim - 1))
     # constants and linear functions
-    sums = np.zeros((pairing.slave.size, 4))
+    sums = np.zeros((conditions.slave.size, 4))
     x = V.tabulate_dof_coordinates()
     values = np.column_stack([np.ones(len(x)), x])
     np.add.at(sums, terms.row, terms.weights[:, None] * values[terms.nodes])
-    assert np.abs(sums / pairing.area[:, None]).max() < 1e-12
+    assert np.abs(sums / conditions.area[:, None]).max() < 1e-12
     # distinct nodes, as the solver wants them
     pairs = terms.row * (terms.nodes.max() + 1) + terms.nodes
     assert np.unique(pairs).size == pairs.size
@@ -93,8 +93,8 @@ def test_conditions_at_the_rim(covered, degree):
     """Of the facet from 0.5 to 0.75 m the master covers a part: that of node 0.75 ends there."""
     V, tags = scene(Blocks("triangle", 4, 3, width=0.5 + covered, degree=degree))
     pair = ContactPair(tags, LOWER, UPPER, normal=normals)
-    pairing = match_contacts(MeshBoundary.of(V), [pair])[0]
-    order = np.argsort(pairing.coordinates[:, 0])
+    conditions = match_contacts(MeshBoundary.of(V), [pair])[0]
+    order = np.argsort(conditions.coordinates[:, 0])
     half, n = 0.5 * covered, normals(np.array([[0.0, 0.25, 0.5, 0.75]])).T
     at_rim = n[2] + (n[3] - n[2]) * covered / 0.25
     if covered == 0.1:
@@ -103,14 +103,14 @@ def test_conditions_at_the_rim(covered, degree):
         # a support below 0.1: the node's function belongs to its neighbour
         areas, expected = [0.125, 0.25, 0.125 + covered], [*n[:2], (0.125 + half) * n[2]]
         expected[2] = expected[2] + half * at_rim
-    np.testing.assert_allclose(pairing.area[order], areas, rtol=1e-12)
+    np.testing.assert_allclose(conditions.area[order], areas, rtol=1e-12)
     expected = np.array(expected) / np.linalg.norm(expected, axis=1, keepdims=True)
-    np.testing.assert_allclose(pairing.normal[order], expected, atol=1e-14)
+    np.testing.assert_allclose(conditions.normal[order], expected, atol=1e-14)
     # the place on the slave that each condition speaks of
     places = [0.0, 0.25, 0.5, 0.5 + covered]
     if covered < 0.1:
         places[2:] = [0.5 + half * covered / (0.125 + covered)]
-    terms, x = pairing.terms, V.tabulate_dof_coordinates()[:, 0]
+    terms, x = conditions.terms, V.tabulate_dof_coordinates()[:, 0]
     weights = np.where(terms.on_slave, terms.weights, 0.0)
     found = np.bincount(terms.row, weights * x[terms.nodes]) / terms.scale
     np.testing.assert_allclose(found[order], places, atol=1e-13)
@@ -120,16 +120,16 @@ def test_conditions_at_the_rim(covered, degree):
 def test_pressures_of_barely_covered_nodes_are_means(cell):
     """The resultant and a uniform pressure stay; a node covered by less than 0.4 adds no value."""
     V, tags = scene(Blocks(cell, 4, 3, width=0.53))
-    pairing = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
-    np.testing.assert_allclose(pairing.mean_traction(pairing.area), 1.0, rtol=1e-13)
-    force = np.random.default_rng(0).random((pairing.area.size, 2))
-    pressure = pairing.mean_traction(force)
-    np.testing.assert_allclose(pairing.area @ pressure, force.sum(axis=0), rtol=1e-12)
-    few = pairing.coverage < 0.4
+    conditions = match_contacts(MeshBoundary.of(V), [ContactPair(tags, LOWER, UPPER)])[0]
+    np.testing.assert_allclose(conditions.mean_traction(conditions.area), 1.0, rtol=1e-13)
+    force = np.random.default_rng(0).random((conditions.area.size, 2))
+    pressure = conditions.mean_traction(force)
+    np.testing.assert_allclose(conditions.area @ pressure, force.sum(axis=0), rtol=1e-12)
+    few = conditions.coverage < 0.4
     assert few.any() and not few.all()
-    own = force / pairing.area[:, None]
+    own = force / conditions.area[:, None]
     assert own[few].max() > 3.0 * pressure.max()
-    inner = (pairing.coordinates[:, : V.mesh.geometry.dim - 1] < 0.2).all(axis=1)
+    inner = (conditions.coordinates[:, : V.mesh.geometry.dim - 1] < 0.2).all(axis=1)
     assert inner.any()
     np.testing.assert_allclose(pressure[inner], own[inner], rtol=1e-13)
 
@@ -138,9 +138,9 @@ def test_linear_weight_of_the_measure():
     V, tags = scene(Blocks("quadrilateral", 3, 4))
     radius = 1.0 + ufl.SpatialCoordinate(V.mesh)[0]
     pair = ContactPair(tags, LOWER, UPPER)
-    pairing = match_contacts(MeshBoundary.of(V, 2.0 * radius), [pair])[0]
-    assert pairing.area.sum() == pytest.approx(3.0)
-    assert pairing.summary["covered_area"] == pytest.approx(1.0)
+    conditions = match_contacts(MeshBoundary.of(V, 2.0 * radius), [pair])[0]
+    assert conditions.area.sum() == pytest.approx(3.0)
+    assert conditions.summary["covered_area"] == pytest.approx(1.0)
 
 
 # -- obstacles, degree 2 ----------------------------------------------------------------------

@@ -46,22 +46,22 @@ def test_all_ways_find_the_node_below(cell, way):
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER)
     down = -0.1 * np.eye(3)[scene.V.mesh.geometry.dim - 1]
     how = way_to_find(way, matched(scene.V, pair).coordinates, down)
-    x, partner, pairing = partners(scene.V, replace(pair, partners=how))
+    x, partner, conditions = partners(scene.V, replace(pair, partners=how))
     down = 0.1 * np.eye(x.shape[1])[-1]
     assert len(x) == 4 ** (x.shape[1] - 1)
     np.testing.assert_allclose(partner, x - down, atol=1e-13)
-    np.testing.assert_allclose(pairing.gap, 0.1, rtol=1e-12)
+    np.testing.assert_allclose(conditions.gap, 0.1, rtol=1e-12)
 
 
 def test_direction_that_is_not_the_nearest():
     """The master is half an element to the right: along (-1, 2) partners are as numbered."""
     V, tags = strips(gap=0.25)
     bend(V, lambda x: x[:, 1] > 1.1, lambda x: x - [0.125, 0.0, 0.0])
-    x, partner, pairing = partners(
+    x, partner, conditions = partners(
         V, ContactPair(tags, SLAVE, MASTER, partners=Along((-1.0, 2.0), 1e-6))
     )
     np.testing.assert_allclose(partner - x, np.tile([0.125, -0.25], (5, 1)), atol=1e-14)
-    np.testing.assert_allclose(pairing.gap, 0.25)
+    np.testing.assert_allclose(conditions.gap, 0.25)
     with pytest.raises(InputError, match="5 of 5 slave nodes"):
         matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest()))
 
@@ -129,9 +129,9 @@ def test_pairs_may_be_rounded_and_in_any_order():
     x = np.array([[0.5, 1.1], [0.0, 1.1], [1.0, 1.1], [0.25, 1.1], [0.75, 1.1]])
     rounded = x + 1e-3 * np.array([1.0, -1.0])
     pair = ContactPair(tags, SLAVE, MASTER, partners=Points(rounded, x - [0.0, 0.1]))
-    x, partner, pairing = partners(V, pair)
+    x, partner, conditions = partners(V, pair)
     np.testing.assert_allclose(partner, x - [0.0, 0.1], atol=1e-14)
-    assert pairing.summary["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
+    assert conditions.summary["largest_distance"] == pytest.approx(np.sqrt(2) * 1e-3)
 
 
 @every_way
@@ -144,8 +144,8 @@ def test_micrometres_give_the_pairs_of_metres(way):
         pair = ContactPair(scene.facet_tags, SLAVE, MASTER, partners=Nearest(0.09))
         x, down = matched(scene.V, pair).coordinates, np.array([0.0, -0.1 * metre, 0.0])
         near = replace(pair, partners=way_to_find(way, x, down, 0.09))
-        pairing = matched(scene.V, near)
-        numbers.append((pairing.slave.tolist(), pairing.master.tolist()))
+        conditions = matched(scene.V, near)
+        numbers.append((conditions.slave.tolist(), conditions.master.tolist()))
         with pytest.raises(InputError, match="5 (of 5 slave nodes|pairs)"):
             matched(scene.V, replace(pair, partners=way_to_find(way, x, down, 0.07)))
     assert numbers[0] == numbers[1]
@@ -160,10 +160,10 @@ def test_tolerance_is_relative_to_the_local_facets():
         return np.stack([places + 0.008 * (x[:, 1] > 1.05), x[:, 1], x[:, 2]], axis=1)
 
     bend(V, lambda x: np.ones(len(x), dtype=bool), grade)
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(), partial=True))
-    assert sorted(np.round(pairing.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
-    assert pairing.summary["unmatched"] == 2
-    assert pairing.summary["largest_relative_distance"] == pytest.approx(0.08)
+    conditions = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(), partial=True))
+    assert sorted(np.round(conditions.coordinates[:, 0], 12)) == [0.158, 0.358, 1.008]
+    assert conditions.summary["unmatched"] == 2
+    assert conditions.summary["largest_relative_distance"] == pytest.approx(0.08)
 
 
 def test_surfaces_that_nobody_meshed_alike():
@@ -171,12 +171,12 @@ def test_surfaces_that_nobody_meshed_alike():
     V, tags = strips((11, 3), (16, 3), gap=0.05)
     with pytest.raises(InputError, match=r"15 of 17 slave nodes have no partner"):
         matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(1e-3)))
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(0.5), partial=True))
+    conditions = matched(V, ContactPair(tags, SLAVE, MASTER, partners=Nearest(0.5), partial=True))
     i, j = np.arange(17), np.arange(12)
     misses = np.abs(i[:, None] / 16 - j / 11).min(axis=1) * 16
-    assert pairing.summary["pairs"] == np.sum(misses <= 0.5) == 12
-    assert pairing.summary["unmatched"] == 5
-    assert pairing.summary["largest_relative_distance"] == pytest.approx(
+    assert conditions.summary["pairs"] == np.sum(misses <= 0.5) == 12
+    assert conditions.summary["unmatched"] == 5
+    assert conditions.summary["largest_relative_distance"] == pytest.approx(
         misses[misses <= 0.5].max()
     )
 
@@ -206,7 +206,7 @@ def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     blocks = read_msh(tmp_path / "blocks.msh", MPI.COMM_SELF)
     V = displacement_space(blocks.mesh)
     pair = ContactPair(blocks.facet_tags, SLAVE, MASTER, partners=way, partial=True)
-    x, partner, pairing = partners(V, pair)
+    x, partner, conditions = partners(V, pair)
     points = V.tabulate_dof_coordinates()
     slave, master = (
         points[fem.locate_dofs_topological(V, 2, blocks.facet_tags.find(tag))]
@@ -214,7 +214,7 @@ def test_unstructured_faces_that_nobody_meshed_alike(tmp_path, way):
     )
     over = np.sum((slave[:, 0] > -1e-9) & (slave[:, 0] < 1 + 1e-9))
     assert over <= len(x) < len(slave)
-    assert pairing.summary["unmatched"] == len(slave) - len(x)
+    assert conditions.summary["unmatched"] == len(slave) - len(x)
     distance = np.linalg.norm(x[:, None] - master, axis=2)
     np.testing.assert_allclose(np.linalg.norm(x - partner, axis=1), distance.min(axis=1))
     assert len(np.unique(np.round(partner, 9), axis=0)) == len(x)

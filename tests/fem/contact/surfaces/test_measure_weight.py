@@ -41,12 +41,12 @@ def test_areas_are_integrals_of_the_weight(kind, obstacle):
     weight = thickness(V, ufl.SpatialCoordinate(V.mesh))[kind]
     ground = RigidObstacle(tags, SLAVE, Plane((0, 0), (0, 1)))
     pair = ContactPair(tags, SLAVE, MASTER)
-    pairing = matched(V, ground if obstacle else pair, weight)
-    order = np.argsort(pairing.coordinates[:, 0])
+    conditions = matched(V, ground if obstacle else pair, weight)
+    order = np.argsort(conditions.coordinates[:, 0])
     h, x = 0.25, np.linspace(0, 1, 5)
     exact = h * (1 + x) * np.where((x == 0) | (x == 1), 0.5, 1.0)
     exact[0], exact[-1] = exact[0] + h**2 / 6, exact[-1] - h**2 / 6
-    np.testing.assert_allclose(pairing.area[order], exact, rtol=1e-12)
+    np.testing.assert_allclose(conditions.area[order], exact, rtol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["expression", "function"])
@@ -77,8 +77,8 @@ def test_weight_in_a_partial_contact():
     V, tags = strips()
     V.mesh.geometry.x[V.mesh.geometry.x[:, 1] > 1.05, 0] += 0.25
     r = ufl.SpatialCoordinate(V.mesh)[0]
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True), r)
-    assert pairing.area.sum() == pytest.approx(0.5 * (1.0 - 0.25**2), rel=1e-12)
+    conditions = matched(V, ContactPair(tags, SLAVE, MASTER, partial=True), r)
+    assert conditions.area.sum() == pytest.approx(0.5 * (1.0 - 0.25**2), rel=1e-12)
 
 
 @pytest.mark.parametrize("obstacle", [False, True])

@@ -25,22 +25,24 @@ CELLS = ["quadrilateral", "triangle", "hexahedron", "tetrahedron"]
 @pytest.mark.parametrize("given", [(0.0, -3.0), lambda x: -np.array([0 * x[0], 1 + x[0]])])
 def test_normals_are_scaled_to_unit_length(given):
     V, tags = strips()
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER, normal=given))
-    np.testing.assert_allclose(pairing.normal, np.tile([0.0, -1.0], (5, 1)), atol=1e-15)
+    conditions = matched(V, ContactPair(tags, SLAVE, MASTER, normal=given))
+    np.testing.assert_allclose(conditions.normal, np.tile([0.0, -1.0], (5, 1)), atol=1e-15)
 
 
 def test_analytic_normals_of_a_polygon():
     V, tags = ring()
-    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, normal=lambda x: x[:2]))
-    np.testing.assert_allclose(pairing.normal, pairing.coordinates[:, :2], atol=1e-14)
-    np.testing.assert_allclose(pairing.gap, 1.0, rtol=1e-13)
+    _, _, conditions = partners(V, ContactPair(tags, SLAVE, MASTER, normal=lambda x: x[:2]))
+    np.testing.assert_allclose(conditions.normal, conditions.coordinates[:, :2], atol=1e-14)
+    np.testing.assert_allclose(conditions.gap, 1.0, rtol=1e-13)
 
 
 def test_averaged_normals_of_a_polygon():
     """Inside they are the radius, at the two ends the normal of the last facet."""
     V, tags = ring(n=8)
-    _, _, pairing = partners(V, ContactPair(tags, SLAVE, MASTER, partners=Mapped(lambda x: 2 * x)))
-    x, n = pairing.coordinates.T, pairing.normal.T
+    _, _, conditions = partners(
+        V, ContactPair(tags, SLAVE, MASTER, partners=Mapped(lambda x: 2 * x))
+    )
+    x, n = conditions.coordinates.T, conditions.normal.T
     sine = np.abs(n[0] * x[1] - n[1] * x[0])
     np.testing.assert_allclose(np.sort(sine)[-2:], np.sin(np.pi / 32), rtol=1e-12)
     np.testing.assert_allclose(np.sort(sine)[:-2], 0.0, atol=1e-15)

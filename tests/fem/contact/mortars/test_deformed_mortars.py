@@ -10,7 +10,7 @@ from strips import bend, matched, strips
 from dolfinx.fem import Function
 
 from fenics_tfeti import ContactPair, Exact
-from fenics_tfeti.fem.contact.conditions.conditions import Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import Terms
 from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 
@@ -52,11 +52,11 @@ def test_terms_of_nodes():
 @pytest.mark.parametrize("gap", [0.1, 0.0, 2.0])
 def test_gap_of_parallel_surfaces(gap):
     V, tags = strips((4, 2), (7, 2), gap=gap)
-    pairing = matched(V, ContactPair(tags, SLAVE, MASTER))
-    np.testing.assert_allclose(pairing.gap, gap, atol=1e-14)
-    np.testing.assert_allclose(pairing.normal, np.tile([0.0, -1.0], (8, 1)), atol=1e-15)
-    assert pairing.summary["largest_angle"] == pytest.approx(0.0, abs=1e-10)
-    assert pairing.summary["largest_distance"] is None
+    conditions = matched(V, ContactPair(tags, SLAVE, MASTER))
+    np.testing.assert_allclose(conditions.gap, gap, atol=1e-14)
+    np.testing.assert_allclose(conditions.normal, np.tile([0.0, -1.0], (8, 1)), atol=1e-15)
+    assert conditions.summary["largest_angle"] == pytest.approx(0.0, abs=1e-10)
+    assert conditions.summary["largest_distance"] is None
 
 
 def test_deformed_surfaces():
@@ -68,7 +68,7 @@ def test_deformed_surfaces():
     x = V.tabulate_dof_coordinates()
     uh.x.array.reshape(-1, 2)[x[:, 1] > 1.05] = [0.3, -0.04]
     state = deformed_contacts([(pair, before)], uh)[0]
-    after = state.pairing
+    after = state.conditions
     assert after.slave.size < before.slave.size
     # in terms of the total displacement: (u_slave - u_master)'n = 0.04 of the gap of 0.1 is used
     np.testing.assert_allclose(after.gap, 0.1)

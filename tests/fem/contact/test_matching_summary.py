@@ -1,4 +1,4 @@
-"""The pairing in numbers, and in the report."""
+"""How contacts were matched, in numbers, and in the report."""
 
 import json
 
@@ -44,8 +44,8 @@ def test_report_has_the_summary(tmp_path):
     problem.report.to_json(tmp_path / "report.json")
     written = json.loads((tmp_path / "report.json").read_text())["contacts"]
     found = problem.report.contacts
-    assert [entry["pairing"] for entry in written] == [entry.pairing for entry in found]
-    head, line = problem.report.pairing_table().splitlines()
+    assert [entry["matching"] for entry in written] == [entry.matching for entry in found]
+    head, line = problem.report.matching_table().splitlines()
     assert head.split()[:3] == ["contact", "discretisation", "pairs"]
     assert line == "contact 0 (pair)    node_to_node      4" + line[39:]
     assert line.split()[-9:] == ["0"] * 7 + ["1", "-"]

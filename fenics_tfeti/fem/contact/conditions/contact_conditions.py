@@ -158,7 +158,7 @@ class Conditions:
 
 
 @dataclass(frozen=True)
-class ContactPairing:
+class ContactConditions:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
     The gap is (chi(x) - x)'n (11.7), of a mortar condition the mean with its dual function. The
@@ -172,7 +172,7 @@ class ContactPairing:
     normal: Vector  # outward unit normals of the slave (k, gdim)
     gap: Vector  # (k,) [m]; infinite where there is no obstacle
     area: Vector  # (k,) [m^2 or m]
-    summary: dict[str, Any]  # the contact's entry of `Report.pairing`
+    summary: dict[str, Any]  # the contact's entry of `ContactEntry.matching`
     surface: Surface  # all of the slave's surface
     covered: Mask  # (f,): whether the surface's facets have partners at all nodes
     coverage: Vector  # (k,), see `ContactResult`
@@ -228,7 +228,7 @@ class ContactPairing:
             return 1.0
         return self.surface.stretch(self.made_on, self.covered)[self.on_surface]
 
-    def with_areas_of(self, deformed: MeshBoundary) -> ContactPairing:
+    def with_areas_of(self, deformed: MeshBoundary) -> ContactConditions:
         """Return the conditions with the areas of another state. Collective."""
         there = replace(self, made_on=deformed)
         return replace(there, area=self.area / self.stretch * there.stretch)
@@ -299,12 +299,13 @@ class SlaveValues:
 
 
 def contact_rows(
-    pairings: Sequence[ContactPairing], gdim: int, numbers: Sequence[int] | None = None
+    all_conditions: Sequence[ContactConditions], gdim: int, numbers: Sequence[int] | None = None
 ) -> ContactRows:
     """Return the conditions of all contacts, by default numbered in their order, one by one."""
-    contacts = range(len(pairings)) if numbers is None else numbers
+    contacts = range(len(all_conditions)) if numbers is None else numbers
     rows = [
-        p.terms.rows(p.normal, p.gap, k, p.area) for p, k in zip(pairings, contacts, strict=True)
+        p.terms.rows(p.normal, p.gap, k, p.area)
+        for p, k in zip(all_conditions, contacts, strict=True)
     ]
     return ContactRows.concatenate([ContactRows.none(gdim), *rows])
 
