@@ -302,7 +302,7 @@ class _Pressing:
         """Return the nodes (n,) of facets with a node in a mask. Collective."""
         any_corner = self.at_corners(mask).any(axis=1)
         flat = np.repeat(any_corner, self.vertices.shape[1])
-        return self.nodes.sum_at_owners(self.vertices.ravel(), flat, np.logical_or)
+        return self.nodes.reduce_at_owners(self.vertices.ravel(), flat, np.logical_or)
 
 
 def _least_opening(solved: SolvedContacts) -> float:

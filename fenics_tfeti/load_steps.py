@@ -58,7 +58,7 @@ from fenics_tfeti.parallel import (
     warn_on_first_rank,
 )
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.saved_state import Step, read_step, write_step
+from fenics_tfeti.saved_state import AcceptedState, read_state, write_state
 from fenics_tfeti.typing import Vector
 
 # shortest step, as a share of all; no shorter rest is left
@@ -83,7 +83,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
     _solution: TornSolution | None = None  # of the torn system, for derivatives
     _solver: TornSolver | None = None
     # what belongs to `u`
-    _state: tuple[str, ...] = ("results", "rigid_bodies", "_solved", "_solution", "_step")
+    _state: tuple[str, ...] = ("results", "rigid_bodies", "_solved", "_solution", "_accepted")
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             )
             with self._timer.phase("assembly"):
                 warn_of_locking(self._torn.torn.forms, self._torn.bodies)
-        self._step = Step.at(self._first_origin())
+        self._accepted = AcceptedState.at(self._first_origin())
 
     @property
     def report(self) -> AnyReport:
@@ -172,7 +172,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 reason += f": the last solve has not converged ({self._report.reason})"
             raise InputError(f"{reason}; call solve() before advance(), and let it converge")
         assert self._solved is not None
-        self._step = self._step.accepted(self._solved.obstacle_displacements())
+        self._accepted = self._accepted.accepted(self._solved.obstacle_displacements())
         self._is_solved = False
 
     def reset_slip(self) -> None:
@@ -180,7 +180,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
         That is from the undeformed state, with finite strains from the present `u`.
         """
-        self._step = replace(self._step, origin=self._first_origin())
+        self._accepted = replace(self._accepted, origin=self._first_origin())
 
     def steps(
         self,
@@ -278,7 +278,9 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 length, easy = 2.0 * length, 0
             elif self._was_hard():
                 length = max(0.5 * length, _SHORTEST * total)
-            self._step = replace(self._step, load=t, length=sign * length, easy=easy, end=end)
+            self._accepted = replace(
+                self._accepted, load=t, length=sign * length, easy=easy, end=end
+            )
             yield t
 
     def _start_of_steps(self, begin: float, sign: float, first: float) -> tuple[float, float, int]:
@@ -286,17 +288,17 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
         They are those of a checkpoint that was restored, if it was saved between the same steps.
         """
-        load, length = self._step.load, self._step.length
+        load, length = self._accepted.load, self._accepted.length
         is_restored = self._solved is None and sign * (load - begin) >= 0.0
-        if not is_restored or load == begin == self._step.end:
+        if not is_restored or load == begin == self._accepted.end:
             return begin, first, 0
         if sign * length < 0.0:
             raise InputError(
                 f"load steps from {begin:g} have another direction than those of the checkpoint, "
-                f"which was saved at the load {load:g} of steps to {self._step.end:g}: call these "
-                "steps first"
+                f"which was saved at the load {load:g} of steps to {self._accepted.end:g}: call "
+                "these steps first"
             )
-        return load, abs(length), self._step.easy
+        return load, abs(length), self._accepted.easy
 
     def _check_data(self) -> None:
         """Check the present supports, contacts and displacement, which the user may have set."""
@@ -374,7 +376,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             per_length=self.space.mesh.geometry.dim == 2 and contact_set.boundary.weight is None,
             **report,
         )
-        self._step = replace(self._step, force=solved.nodal_forces())
+        self._accepted = replace(self._accepted, force=solved.nodal_forces())
 
     @contextmanager
     def _looking_over(self) -> Iterator[None]:
@@ -382,8 +384,8 @@ class SteppedProblem(ABC, Generic[AnyReport]):
 
         Surfaces that have not met, and look the same way, are an error once the solve has ended.
         """
-        texts, before = list[str](), self._step.displacement
-        is_next = self._is_solved and self._step.origin is self._last_origin
+        texts, before = list[str](), self._accepted.displacement
+        is_next = self._is_solved and self._accepted.origin is self._last_origin
         try:
             with keep_warnings(texts):
                 yield
@@ -432,7 +434,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         texts += self._state_findings()
         # what rank 0 alone has warned of is in its list
         texts = comm.bcast([*self._warnings, *texts, *large])
-        self._last_origin = self._step.origin
+        self._last_origin = self._accepted.origin
         self._report = replace(
             self.report,
             to_check=tuple(dict.fromkeys(texts)),
@@ -549,12 +551,12 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """
         if self._solved is not None:
             raise InputError("a checkpoint is for a problem that was not solved yet")
-        self._step = read_step(path, self._kind, self._torn.undeformed)
+        self._accepted = read_state(path, self._kind, self._torn.undeformed)
         self._is_restored = True
-        fill_owned(self.u, self._step.displacement)
-        return self._step.number
+        fill_owned(self.u, self._accepted.displacement)
+        return self._accepted.number
 
     def _save(self, checkpoint: str | os.PathLike[str] | None) -> None:
         """Write the checkpoint, if there is to be one."""
         if checkpoint is not None:
-            write_step(checkpoint, self._kind, self._torn.undeformed, self._step)
+            write_state(checkpoint, self._kind, self._torn.undeformed, self._accepted)

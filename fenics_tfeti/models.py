@@ -576,5 +576,5 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
 
 def _touching(nodes: NodeMap, marked: Numbers, corners: Numbers) -> Mask:
     """Tell which cells have a corner among marked nodes of any rank. Collective."""
-    count = nodes.sum_at_owners(marked, np.ones(marked.size))
+    count = nodes.reduce_at_owners(marked, np.ones(marked.size))
     return (nodes.values_at(count, corners) > 0.0).any(axis=1)

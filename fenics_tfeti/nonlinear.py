@@ -32,7 +32,7 @@ from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton.arc_length import Arc, ArcIteration
 from fenics_tfeti.newton.iteration import SMALLER, Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.newton.last_state import solution_at
-from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.newton.stability import instability
 from fenics_tfeti.options import NewtonOptions, contact_options
@@ -341,23 +341,23 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._refresh()
         if coarse is not None:
             self._start_from(coarse)
-        bodies = self._torn.undeformed.bodies.restored(self._step.bodies)
-        load_step = LoadStep(
+        bodies = self._torn.undeformed.bodies.restored(self._accepted.bodies)
+        load_case = LoadCase(
             self._torn,
             self.u,
-            self._step.origin,
+            self._accepted.origin,
             self._gradients,
             self._shear_over_bulk,
             Rounding.none(self._torn.nodes),
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])
-            first = load_step.state_at(start, self._step.force, bodies)
+            first = load_case.state_at(start, self._accepted.force, bodies)
         except NotConverged as error:
             raise InputError(f"u cannot be the start of Newton's method: {error}") from None
         rounding = Rounding.of(self._torn.torn.assemble(), self._torn.nodes)
-        load_step = replace(load_step, rounding=rounding)
-        iteration = self._iteration = self._new_iteration(load_step)
+        load_case = replace(load_case, rounding=rounding)
+        iteration = self._iteration = self._new_iteration(load_case)
         state: NewtonState | None = None
         try:
             for state in iteration.run(first, monitor):
@@ -382,14 +382,14 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         assert state is not None
         self._store_state(state, iteration)
         if iteration.has_unstable_tangents and (set_up := iteration.set_up) is not None:
-            self._instability = instability(load_step, state, set_up)
+            self._instability = instability(load_case, state, set_up)
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
         self._is_solved = True
 
-    def _new_iteration(self, load_step: LoadStep) -> NewtonIteration:
+    def _new_iteration(self, load_case: LoadCase) -> NewtonIteration:
         """Return Newton's method at the present load, or along the path that is followed."""
-        data = load_step, self.options, self._timer, self._solver
+        data = load_case, self.options, self._timer, self._solver
         return NewtonIteration(*data) if self._arc is None else ArcIteration(*data, self._arc)
 
     def _start_from(self, coarse: NonlinearContactProblem) -> None:
@@ -399,13 +399,13 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         with self._timer.phase("coarse contact"):
             start = interpolated(coarse.u, coarse._torn.bodies, self.u, self._torn.bodies)
             fill_owned(self.u, start)
-            bodies = undeformed.bodies.restored(coarse._step.bodies)
+            bodies = undeformed.bodies.restored(coarse._accepted.bodies)
             self._torn.fill(self.u, bodies, is_small=False)
             # areas, and the nodes that meet something, are those of the deformed surfaces
             contact_set = undeformed.deformed(self.u, replace(bodies, from_here=True))[0]
             force = expected_contact(solved, contact_set.all_conditions).normal_force
         forces = contact_set.slave_values(force)
-        self._step = replace(self._step, force=forces, bodies=bodies.saved())
+        self._accepted = replace(self._accepted, force=forces, bodies=bodies.saved())
 
     def _store_state(
         self, state: NewtonState, iteration: NewtonIteration, is_last: bool = True
@@ -421,8 +421,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         )
         contact_set = state.rows.contact_set
         self._store(solution, contact_set, state.bodies, is_last, newton=list(iteration.steps))
-        self._step = replace(
-            self._step, displacement=owned_values(self.u), bodies=state.bodies.saved()
+        self._accepted = replace(
+            self._accepted, displacement=owned_values(self.u), bodies=state.bodies.saved()
         )
 
     def _update(self) -> None:

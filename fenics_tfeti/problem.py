@@ -155,7 +155,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             compiler=_compat.CompilerOptions(form_compiler_options, jit_options),
             displacement=None,
         )
-        self.system = self._torn.system(self._step.origin)
+        self.system = self._torn.system(self._accepted.origin)
         _return_free_memory()
         self._deformed: ContactSet | None = None  # after the last pass
 
@@ -231,7 +231,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 self._timer.restart()
             self._is_solved = self.report.converged
             if self._is_solved:
-                self._step = replace(self._step, passes=())
+                self._accepted = replace(self._accepted, passes=())
                 self._save(checkpoint)
             try:
                 interruption.check(self.space.mesh.comm)
@@ -403,7 +403,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         prepared = self._torn.torn.forms
         forms = FormsAtSolution(prepared.bilinear.form, prepared.linear.form, J, self.u)
         linear = solver.linear_problem()
-        origin = self._step.origin
+        origin = self._accepted.origin
         return SolvedState(self._torn, forms, solved, self._solution, linear, origin, is_current)
 
     # -- the present data --------------------------------------------------------------------------
@@ -419,7 +419,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         if self._torn.torn.has_moved():
             self._deformed = None
         self._torn.update(self.bcs, self.contacts, self._release)
-        self.system = self._torn.system(self._step.origin)
+        self.system = self._torn.system(self._accepted.origin)
 
     def _release(self) -> None:
         """Free the last stiffness matrices and factors, before others take their place."""
@@ -467,7 +467,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         monitor: MonitorFunction | None,
     ) -> TornSolution:
         """Solve with conditions, and store the results."""
-        system = self._torn.system(self._step.origin, contact_set)
+        system = self._torn.system(self._accepted.origin, contact_set)
         guess = self._guess(coarse, contact_set)
         options = self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)
@@ -492,7 +492,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 return expected_contact(coarse, contact_set.all_conditions)
         if not self._is_restored or self.options.solver.method != "active_set":
             return None
-        return self._step.guess(contact_set)
+        return self._accepted.guess(contact_set)
 
     def _solve_exactly(
         self,
@@ -504,11 +504,11 @@ class ContactProblem(SteppedProblem[ContactReport]):
         """Repeat with normals, gaps and partners of the deformed surfaces, sec. 11.1, 11.11.2."""
         contact_set, comm = self._first_contact_set(), self.space.mesh.comm
         known = self._is_restored and not contact_set.bodies.frames
-        passes = list(self._step.passes) if known else []
+        passes = list(self._accepted.passes) if known else []
         # loads on cells of rigid bodies have other moments where these have turned
         contact_set = replace(contact_set, bodies=self._torn.loaded(contact_set.bodies))
         while True:
-            self._step = replace(self._step, passes=passes)
+            self._accepted = replace(self._accepted, passes=passes)
             solution = self._solve_linearised(contact_set, None if passes else coarse, monitor)
             new_pass = self._geometry_pass(contact_set, solution)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
@@ -520,7 +520,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             self._report = replace(self.report, passes=passes, seconds=seconds)
             if is_last:
                 return self.u if is_exact else self._not_exact(geometry, self.u, passes[-1])
-            self._step = replace(self._step, passes=passes)
+            self._accepted = replace(self._accepted, passes=passes)
             self._save(checkpoint)
             assert self._deformed is not None
             contact_set = self._deformed
@@ -528,7 +528,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
     def _geometry_pass(self, contact_set: ContactSet, solution: TornSolution) -> GeometryPass:
         """Measure the deformed surfaces, with the conditions for the next pass, and the misfit."""
         assert self._solved is not None
-        uh, origin, forces = self.u, self._step.origin, (0.0, 0.0)
+        uh, origin, forces = self.u, self._accepted.origin, (0.0, 0.0)
         with self._timer.phase("deformed surfaces"):
             bodies = self._torn.loaded(self._solved.bodies)
             deformed, measured = contact_set.deformed(uh, bodies)
@@ -551,7 +551,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         if last is None or not undeformed.has_same_contacts(last):
             return undeformed
         # measured anew: obstacles and the weight of the measure may have changed
-        uh = fill_owned(Function(self.space), self._step.displacement)
+        uh = fill_owned(Function(self.space), self._accepted.displacement)
         bodies = undeformed.bodies.restored(last.bodies.saved())
         with self._timer.phase("deformed surfaces"):
             return undeformed.deformed(uh, bodies, last)[0].with_friction(uh)
@@ -579,7 +579,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         bodies = contact_set.bodies.moved(contact_set.motions_after(solution.displacements))
         uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
         self._store(solution, contact_set, bodies, is_last)
-        self._step = replace(self._step, displacement=owned_values(uh))
+        self._accepted = replace(self._accepted, displacement=owned_values(uh))
         return uh
 
 

@@ -27,7 +27,7 @@ _FORMAT = "fenics_tfeti step 2"
 
 
 @dataclass(frozen=True)
-class Step:
+class AcceptedState:
     """A load step as far as it was solved: where later solves start, saved and restored."""
 
     displacement: Vector  # the last one, at owned degrees of freedom [m]
@@ -45,11 +45,11 @@ class Step:
     bodies: Mapping[str, Vector] = field(default_factory=dict)
 
     @staticmethod
-    def at(origin: SlipOrigin) -> Step:
+    def at(origin: SlipOrigin) -> AcceptedState:
         """Return the step before the first one."""
-        return Step(origin.displacement, SlaveValues(), origin)
+        return AcceptedState(origin.displacement, SlaveValues(), origin)
 
-    def accepted(self, obstacles: SlaveValues) -> Step:
+    def accepted(self, obstacles: SlaveValues) -> AcceptedState:
         """Return the step that follows: friction counts slip from the end of this one."""
         origin = SlipOrigin(self.displacement, obstacles)
         return replace(self, origin=origin, number=self.number + 1)
@@ -60,8 +60,8 @@ class Step:
         return ContactGuess(force, np.where(force > 0.0, 0.0, np.inf))
 
 
-def write_step(
-    path: str | os.PathLike[str], kind: str, contact_set: ContactSet, step: Step
+def write_state(
+    path: str | os.PathLike[str], kind: str, contact_set: ContactSet, step: AcceptedState
 ) -> None:
     """Write a checkpoint of a kind of problem on rank 0, or leave the old one. Collective."""
     nodes = contact_set.boundary.nodes
@@ -87,7 +87,7 @@ def write_step(
             write_arrays(path, "the checkpoint", _FORMAT, arrays)
 
 
-def _arrays(step: Step, nodes: NodeMap, keys: Sequence[str]) -> dict[str, Array]:
+def _arrays(step: AcceptedState, nodes: NodeMap, keys: Sequence[str]) -> dict[str, Array]:
     """Return this rank's part of a file: values at all nodes, and at some of each contact."""
     numbers, shape = nodes.input_numbers, (nodes.owned, nodes.components)
     arrays: dict[str, Array] = {
@@ -106,7 +106,7 @@ def _arrays(step: Step, nodes: NodeMap, keys: Sequence[str]) -> dict[str, Array]
     return arrays
 
 
-def read_step(path: str | os.PathLike[str], kind: str, contact_set: ContactSet) -> Step:
+def read_state(path: str | os.PathLike[str], kind: str, contact_set: ContactSet) -> AcceptedState:
     """Read the part of this rank from a checkpoint of the same kind of problem. Collective.
 
     It is of the same mesh and has the same contacts, in any order.
@@ -118,7 +118,7 @@ def read_step(path: str | os.PathLike[str], kind: str, contact_set: ContactSet) 
     return step
 
 
-def _read(file: ArrayFile, kind: str, contact_set: ContactSet, own: Numbers) -> Step:
+def _read(file: ArrayFile, kind: str, contact_set: ContactSet, own: Numbers) -> AcceptedState:
     nodes = contact_set.boundary.nodes
     coordinates, gdim = nodes.coordinates, nodes.components
     numbers = file.read("numbers", "integers", (None,))
@@ -154,7 +154,7 @@ def _read(file: ArrayFile, kind: str, contact_set: ContactSet, own: Numbers) -> 
     passes = file.read("passes", "numbers", (None, len(fields(GeometryPass)))).tolist()
     finished = [GeometryPass(*row) for row in passes]
     load: tuple[float, float, float] = tuple(file.read("load", "numbers", (3,)).tolist())
-    return Step(
+    return AcceptedState(
         nodal("displacement").ravel(),
         of_contacts("force"),
         SlipOrigin(nodal("slip_origin").ravel(), of_contacts("obstacle", gdim)),

@@ -109,7 +109,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     passes = []
 
     def stop(step):
-        passes.append(len(problem._step.passes))
+        passes.append(len(problem._accepted.passes))
         if passes[-1] == 3:
             raise Interrupted("here")
 
@@ -120,7 +120,7 @@ def test_passes_of_both_runs_are_in_the_report(path, whole):
     again.solve()
     assert len(again.report.passes) >= 4
     assert [p.products for p in again.report.passes[:3]] == [
-        p.products for p in problem._step.passes[:3]
+        p.products for p in problem._accepted.passes[:3]
     ]
     errors = [p.error for p in again.report.passes]
     assert errors[-1] <= 1e-8 < min(errors[:-1])
@@ -135,9 +135,9 @@ def test_forces_of_all_nodes_are_in_the_checkpoint(path):
     problem.save(path)
     again = block_on_disc(block(COMM), floor)
     again.restore(path)
-    (key,), force = problem._torn.undeformed.keys, problem._step.force
+    (key,), force = problem._torn.undeformed.keys, problem._accepted.force
     assert (force.at(key, nodes) > 0.0).all()
-    np.testing.assert_array_equal(again._step.force.at(key, nodes), force.at(key, nodes))
+    np.testing.assert_array_equal(again._accepted.force.at(key, nodes), force.at(key, nodes))
 
 
 def test_interruption_writes_the_checkpoint(path):

@@ -95,7 +95,7 @@ class NodeMap:
         return np.searchsorted(self._ends, nodes, side="right")
 
     def values_at(self, values: Array, nodes: Numbers) -> Array:
-        """Return the rows of values at nodes of any ranks, in any shape. Collective.
+        """Fetch values at nodes from the ranks that own them, in the shape of `nodes`. Collective.
 
         This rank's values (owned, ...) are of the nodes that it owns; more rows do not matter.
         """
@@ -109,10 +109,11 @@ class NodeMap:
         arrived, *rest = send_rows(self.comm, self.owners(nodes), nodes, *data)
         return arrived - self.first, *rest
 
-    def sum_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:
-        """Sum rows of values (k, ...) by their nodes: (owned, ...), zero elsewhere. Collective.
+    def reduce_at_owners(self, nodes: Numbers, values: Array, ufunc: Any = np.add) -> Array:
+        """Reduce rows of values (k, ...) by their nodes, of any ranks. Collective.
 
-        The nodes may be those of any ranks; another ufunc is applied in place of the sum.
+        The result is (owned, ...): sums or, by another ufunc, maxima and the like; zero at nodes
+        without values.
         """
         local, values = self.to_owners(nodes, values)
         order = np.argsort(local, kind="stable")
@@ -127,7 +128,7 @@ class NodeMap:
         """Return values (owned,) reduced from those of cells (m,) around each node. Collective."""
         nodes = _compat.cell_dofs(self.space)[: values.size]
         at_nodes = np.repeat(values, nodes.shape[1])
-        return self.sum_at_owners(self.to_global(nodes).ravel(), at_nodes, ufunc)
+        return self.reduce_at_owners(self.to_global(nodes).ravel(), at_nodes, ufunc)
 
     @cached_property
     def input_numbers(self) -> Numbers:
@@ -145,7 +146,7 @@ class NodeMap:
         # of several values for one position the last one stays
         lowest[nodes[order]] = number[order]
         local = np.flatnonzero(lowest >= 0)
-        return self.sum_at_owners(self.to_global(local), lowest[local], np.minimum)
+        return self.reduce_at_owners(self.to_global(local), lowest[local], np.minimum)
 
 
 class ContactNodes(NodeMap):

@@ -64,7 +64,7 @@ def interpolated(coarse: Function, coarse_bodies: Bodies, fine: Function, bodies
     near = x[local] + _INWARD * (middles[cell] - x[local])
     values = simplices.searched(comm, near, x[local], partner[bodies.of_cell[cell]])[2]
     ones = np.ones((local.size, 1))
-    sums = nodes.sum_at_owners(nodes.to_global(local), np.hstack([values, ones]))
+    sums = nodes.reduce_at_owners(nodes.to_global(local), np.hstack([values, ones]))
     return (sums[:, :-1] / sums[:, -1:]).ravel()
 
 

@@ -250,13 +250,13 @@ class TornProblem:
         at = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
         values = np.concatenate([np.zeros(0), *forces]).reshape(-1, nodes.components)
         in_mesh = at < nodes.total
-        return nodes.sum_at_owners(at[in_mesh], values[in_mesh])
+        return nodes.reduce_at_owners(at[in_mesh], values[in_mesh])
 
     @cached_property
     def _copies(self) -> Vector:
         """The number of subdomains (owned, 1) that each node belongs to, at least 1. Collective."""
         at = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in self.torn.subdomains)])
-        return np.maximum(self.nodes.sum_at_owners(at, np.ones((at.size, 1))), 1.0)
+        return np.maximum(self.nodes.reduce_at_owners(at, np.ones((at.size, 1))), 1.0)
 
 
 def _check_rigid_tags(space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, RigidBody]) -> None:

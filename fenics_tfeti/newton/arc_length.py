@@ -21,7 +21,7 @@ from fenics_tfeti.feti import Timer, TornSolver
 from fenics_tfeti.newton.equilibrium import Multipliers
 from fenics_tfeti.newton.face import Change
 from fenics_tfeti.newton.iteration import LinearisedStep, Monitor, NewtonIteration
-from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Vector
@@ -60,19 +60,19 @@ class ArcIteration(NewtonIteration):
 
     def __init__(
         self,
-        load_step: LoadStep,
+        load_case: LoadCase,
         options: NewtonOptions,
         timer: Timer,
         last: TornSolver | None,
         arc: Arc,
     ) -> None:
         most = min(options.newton_max_it, _MOST)
-        super().__init__(load_step, replace(options, newton_max_it=most), timer, last)
+        super().__init__(load_case, replace(options, newton_max_it=most), timer, last)
         self._arc, self.load = arc, arc.load
         self._change = 0.0  # of the load in the present step
 
     def _solve_linearised(self, state: NewtonState, monitor: Monitor | None) -> LinearisedStep:
-        step, torn, arc = super()._solve_linearised(state, monitor), self._load_step.torn, self._arc
+        step, torn, arc = super()._solve_linearised(state, monitor), self._load_case.torn, self._arc
         rate = self._rate(state, step)
         along = torn.at_owned_nodes(rate.displacements)
         end = state.displacement[: along.size] - arc.displacement
@@ -95,32 +95,32 @@ class ArcIteration(NewtonIteration):
 
     def _rate(self, state: NewtonState, step: LinearisedStep) -> Change:
         """Return the changes with the load, per unit of it. Collective."""
-        load_step, face, used = self._load_step, step.face, self.set_up
+        load_case, face, used = self._load_case, step.face, self.set_up
         assert used is not None
         difference = _DIFFERENCE * (abs(self.load) or 1.0)
         before = state.rows.force(state.multipliers)
         self._arc.set_load(self.load + difference)
-        rows = load_step.rows_at(state.displacement, state.bodies, state.rows)
-        after, internal = rows.force(state.multipliers), -load_step.torn.torn.load()
+        rows = load_case.rows_at(state.displacement, state.bodies, state.rows)
+        after, internal = rows.force(state.multipliers), -load_case.torn.torn.load()
         self._check_supports()
         self._arc.set_load(self.load)
         load = state.internal + before[0] - internal - after[0]
-        load = load_step.at_free(load, face.rows)
+        load = load_case.at_free(load, face.rows)
         contacts, tied = face.contacts, face.rows.tied
         gap = face.distances_of(rows) - contacts.gap / contacts.length
         tied_gap = (rows.tied.gap - tied.gap) / tied.length
         parts = [load, np.nan_to_num(gap), tied_gap, before[1] - after[1]]
-        if not any_rank(load_step.torn.nodes.comm, [np.any(part) for part in parts]):
+        if not any_rank(load_case.torn.nodes.comm, [np.any(part) for part in parts]):
             raise InputError(
                 f"follow: nothing changes with the load at {self.load:g}: set_load has to change "
                 "values of the forms, as those of a Constant, or obstacles"
             )
-        hessian = used.hessian(load_step, state, face, self._spent)
+        hessian = used.hessian(load_case, state, face, self._spent)
         return hessian.response(*(part / difference for part in parts))
 
     def _check_supports(self) -> None:
         """Check that prescribed displacements are those before. Collective."""
-        torn = self._load_step.torn
+        torn = self._load_case.torn
         known = torn.undeformed.prescribed.values
         now = prescribed_values(torn.space, torn.bcs).values
         if any_rank(torn.nodes.comm, [not np.array_equal(now, known)]):

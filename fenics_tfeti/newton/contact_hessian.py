@@ -27,7 +27,7 @@ from fenics_tfeti.feti.solution.linear import LinearData, LinearProblem
 from fenics_tfeti.feti.system import RowValues
 from fenics_tfeti.newton.equilibrium import DeformedRows, Multipliers
 from fenics_tfeti.newton.face import Change, Face
-from fenics_tfeti.newton.load_case import LoadStep
+from fenics_tfeti.newton.load_case import LoadCase
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import Space
 from fenics_tfeti.qp.gmres import gmres
@@ -75,7 +75,7 @@ class Correction:
 class ContactHessian:
     """The derivative on the face of a state, with M as the preconditioner of GMRES."""
 
-    load_step: LoadStep
+    load_case: LoadCase
     displacement: Vector  # as of `NewtonState` [m]
     face: Face
     exact: Sequence[Subdomain]
@@ -102,16 +102,16 @@ class ContactHessian:
         displacement the bodies begin at their motions. Beyond the nodes of the mesh the forces that
         M balances are given, to which E is added. Collective.
         """
-        load_step, face, nodes = self.load_step, self.face, self.load_step.torn.nodes
+        load_case, face, nodes = self.load_case, self.face, self.load_case.torn.nodes
         bodies = face.rows.contact_set.bodies
         end = face.rows.contact_set.motions_after(change.displacements)
         motions = [b - a for a, b in zip(begin, end, strict=True)]
-        d = load_step.torn.at_owned_nodes(change.displacements)
+        d = load_case.torn.at_owned_nodes(change.displacements)
         increment = np.concatenate([d, bodies.as_vector(motions)])
         largest = largest_of_ranks(nodes.comm, np.abs(increment))
         # without displacement there is no difference, either
         eps = length / (largest or 1.0)
-        rows = load_step.rows_at(self.displacement + eps * increment, bodies, face.rows)
+        rows = load_case.rows_at(self.displacement + eps * increment, bodies, face.rows)
         forces = rows.force(self._multipliers_in(rows, eps * normal))
         turned, turned_beyond = (
             (new - old) / eps for new, old in zip(forces, self._force, strict=True)
@@ -120,11 +120,11 @@ class ContactHessian:
         parts = [
             s.stiffness_times(u) for s, u in zip(self.exact, change.displacements, strict=True)
         ]
-        force = load_step.torn.sum_at_nodes(self.exact, parts) + pressed + turned
+        force = load_case.torn.sum_at_nodes(self.exact, parts) + pressed + turned
         gap = _difference(self._gap, face.distances_of(rows)) / eps
         tied_gap = _difference(self._tied_gap, rows.tied.gap / rows.tied.length) / eps
         tied_gap += self._shortened(change)
-        force = load_step.at_free(force, face.rows)
+        force = load_case.at_free(force, face.rows)
         return self._flat(force, gap, tied_gap, beyond + turned_beyond + lacking)
 
     def _shortened(self, change: Change) -> Vector:
@@ -132,7 +132,7 @@ class ContactHessian:
 
         A step has all of the shortening as its unknown.
         """
-        nodes, tied = self.load_step.torn.nodes, self.face.rows.tied
+        nodes, tied = self.load_case.torn.nodes, self.face.rows.tied
         bolts = self.face.rows.contact_set.bolt_displacements(change.displacements)
         still = np.zeros(nodes.owned * nodes.components)
         return row_values(nodes, tied, still, bolts) / tied.length
@@ -173,7 +173,7 @@ class ContactHessian:
         """Return one vector, with gaps as forces; of gaps those of the face."""
         gap = np.where(self.linear.active & np.isfinite(gap), gap, 0.0)
         tied_gap = np.where(np.isfinite(tied_gap), tied_gap, 0.0)
-        unit = self.load_step.slip_stiffness
+        unit = self.load_case.slip_stiffness
         return np.concatenate([force.ravel(), unit * gap, unit * tied_gap, beyond.ravel()])
 
     @cached_property
@@ -185,7 +185,7 @@ class ContactHessian:
     @cached_property
     def _space(self) -> Space:
         """The inner product; forces beyond the nodes of the mesh are the same on all ranks."""
-        comm = self.load_step.torn.nodes.comm
+        comm = self.load_case.torn.nodes.comm
         return Space(sum(self._sizes[: 4 if comm.rank == 0 else 3]), comm.allreduce)
 
     def corrected(
@@ -235,9 +235,9 @@ class ContactHessian:
 
         Bodies begin at their motions. The accuracy is that of `corrected`, relative to a force [N].
         """
-        torn, (rtol, size, negligible) = self.load_step.torn, accuracy
+        torn, (rtol, size, negligible) = self.load_case.torn, accuracy
         largest = np.abs(torn.at_owned_nodes(first.displacements))
-        longest, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_step.rounding.extent
+        longest, extent = largest_of_ranks(torn.nodes.comm, largest), self.load_case.rounding.extent
         length = min(max(longest, _SHORTEST * extent), _LONGEST * extent)
         at_rest = self._at_rest
         # the forces of other rows are those of `first` already
@@ -273,7 +273,7 @@ class ContactHessian:
         pairs = zip(self._data(right)[0].loads, added.displacements, strict=True)
         work = sum(float(load @ d) for load, d in pairs)
         of_rows = float(jumps.normal @ forces.normal + jumps.tied @ forces.tied)
-        comm = self.load_step.torn.nodes.comm
+        comm = self.load_case.torn.nodes.comm
         work, of_rows = comm.allreduce(np.array([work, of_rows])).tolist()
         return work + abs(of_rows)
 
@@ -286,7 +286,7 @@ class ContactHessian:
     def first(self, balance: tuple[Vector, Vector], rtol: float) -> Change:
         """Return the solution of M of the present loads and gaps. Collective."""
         data, _ = self._data(self._flat(balance[0], self._gap, self._tied_gap, balance[1]))
-        total = self.load_step.torn.nodes.total
+        total = self.load_case.torn.nodes.total
         loads = [
             load if s.nodes[0] < total else load + s.load
             for s, load in zip(self.exact, data.loads, strict=True)
@@ -295,8 +295,8 @@ class ContactHessian:
 
     def gaps_after(self, change: Change) -> Vector:
         """Return the gaps (k,) of the contact rows after a change, to first order. Collective."""
-        contact_set, nodes = self.face.rows.contact_set, self.load_step.torn.nodes
-        d = self.load_step.torn.at_owned_nodes(change.displacements)
+        contact_set, nodes = self.face.rows.contact_set, self.load_case.torn.nodes
+        d = self.load_case.torn.at_owned_nodes(change.displacements)
         pairs = zip(
             contact_set.bodies.motions, contact_set.motions_after(change.displacements), strict=True
         )
@@ -306,7 +306,7 @@ class ContactHessian:
 
     def _data(self, v: Vector) -> tuple[LinearData, Vector]:
         """Return loads and jumps of a vector, and forces beyond the mesh. Collective."""
-        torn, unit = self.load_step.torn, self.load_step.slip_stiffness
+        torn, unit = self.load_case.torn, self.load_case.slip_stiffness
         force, gap, tied_gap, beyond = np.split(v, np.cumsum(self._sizes[:-1]))
         shape = -1, torn.nodes.components
         beyond = beyond.reshape(shape)

@@ -151,7 +151,7 @@ class DeformedRows:
         beyond = np.zeros((max(corners, last + 1 - nodes.total), nodes.components))
         np.add.at(beyond, at[~in_mesh] - nodes.total, forces[~in_mesh])
         nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
-        return nodes.sum_at_owners(at[in_mesh], forces[in_mesh]), beyond
+        return nodes.reduce_at_owners(at[in_mesh], forces[in_mesh]), beyond
 
 
 @dataclass(frozen=True)

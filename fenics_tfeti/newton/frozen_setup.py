@@ -15,7 +15,7 @@ from fenics_tfeti.feti import Subdomain, TornSolution
 from fenics_tfeti.feti.solution.linear import LinearProblem
 from fenics_tfeti.newton.contact_hessian import ContactHessian, Correction, Spent
 from fenics_tfeti.newton.face import Change, Face
-from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.parallel import any_rank
 
 
@@ -28,25 +28,25 @@ class FrozenSetup:
     used: Sequence[Subdomain]  # with the tangents of the factors
     solution: TornSolution  # of the step
 
-    def serves(self, load_step: LoadStep, face: Face) -> bool:
+    def serves(self, load_case: LoadCase, face: Face) -> bool:
         """Tell whether the same conditions hold, and no other force is unknown. Collective."""
         contacts = self.face.held.size
         is_other = not self.face.is_that_of(face)
         is_other = is_other or not np.array_equal(self.linear.active[:contacts], self.face.held)
         is_other = is_other or bool((face.friction.bound > 0.0).any())
-        return not any_rank(load_step.torn.nodes.comm, [is_other])
+        return not any_rank(load_case.torn.nodes.comm, [is_other])
 
     def hessian(
-        self, load_step: LoadStep, state: NewtonState, face: Face, spent: Spent
+        self, load_case: LoadCase, state: NewtonState, face: Face, spent: Spent
     ) -> ContactHessian:
         """Return the derivative on the face of a state, with this set-up as M. Collective."""
-        exact = load_step.torn.tangents(face.rows.contact_set)
+        exact = load_case.torn.tangents(face.rows.contact_set)
         base = self.face, self.linear, self.used
-        return ContactHessian(load_step, state.displacement, face, exact, *base, spent)
+        return ContactHessian(load_case, state.displacement, face, exact, *base, spent)
 
     def corrected(
         self,
-        load_step: LoadStep,
+        load_case: LoadCase,
         state: NewtonState,
         face: Face,
         accuracy: tuple[float, float, float],
@@ -59,10 +59,10 @@ class FrozenSetup:
         energy has a maximum along what GMRES adds, as at equilibria that are not stable.
         """
         first_rtol, rtol, negligible = accuracy
-        balance = load_step.out_of_balance(state, face)
-        hessian = self.hessian(load_step, state, face, spent)
+        balance = load_case.out_of_balance(state, face)
+        hessian = self.hessian(load_case, state, face, spent)
         # gaps of the size of rounding of coordinates are closed
-        depth = load_step.negligible_length(state)
+        depth = load_case.negligible_length(state)
         first = hessian.first(balance, first_rtol)
         # which mostly tells already that other conditions would hold
         if not self._is_on_face(hessian, self._at_rows(face, first), depth):

@@ -34,7 +34,7 @@ from fenics_tfeti.newton.contact_hessian import ContactHessian, Correction, Spen
 from fenics_tfeti.newton.equilibrium import Multipliers
 from fenics_tfeti.newton.face import Change, Face
 from fenics_tfeti.newton.frozen_setup import FrozenSetup
-from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.options import NewtonOptions
 from fenics_tfeti.parallel import any_rank, largest_of_groups, print_on_first_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -133,12 +133,12 @@ class NewtonIteration:
     _follows_path = False
 
     def __init__(
-        self, load_step: LoadStep, options: NewtonOptions, timer: Timer, last: TornSolver | None
+        self, load_case: LoadCase, options: NewtonOptions, timer: Timer, last: TornSolver | None
     ) -> None:
-        self._load_step, self._options, self._timer = load_step, options, timer
+        self._load_case, self._options, self._timer = load_case, options, timer
         self.solver = last
         self.steps: list[NewtonStep] = []
-        self._increment = Function(load_step.torn.space)
+        self._increment = Function(load_case.torn.space)
         self._frozen: FrozenSetup | None = None
         self._spent = Spent()
         self._least = 0.0  # force that residuals are relative to [N]
@@ -147,11 +147,11 @@ class NewtonIteration:
 
     def run(self, state: NewtonState, monitor: Monitor | None) -> Iterator[NewtonState]:
         """Yield the state after each step, the last one in equilibrium."""
-        comm, options = self._load_step.torn.nodes.comm, self._options
+        comm, options = self._load_case.torn.nodes.comm, self._options
         first = state.equilibrium
         self._least = first.force * max(1.0, first.residual)
         while len(self.steps) < options.newton_max_it:
-            state = self._step(state, monitor)
+            state = self._take_step(state, monitor)
             self.steps.append(replace(self.steps.pop(), seconds=self._timer.lap(comm)))
             self._report(monitor)
             yield state
@@ -163,7 +163,7 @@ class NewtonIteration:
         """Pass the last step on to the user."""
         number, step = len(self.steps), self.steps[-1]
         if self._options.solver.monitor:
-            print_on_first_rank(self._load_step.torn.nodes.comm, f"Newton step {number}: {step}")
+            print_on_first_rank(self._load_case.torn.nodes.comm, f"Newton step {number}: {step}")
         if monitor is not None:
             monitor(step)
 
@@ -171,7 +171,7 @@ class NewtonIteration:
         is_whole = self.steps[-1].length == 1.0
         return is_whole and state.equilibrium.error <= self._options.newton_rtol
 
-    def _step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
+    def _take_step(self, state: NewtonState, monitor: Monitor | None) -> NewtonState:
         """Return the state after one step."""
         self._spent = Spent()
         step = self._solve_linearised(state, monitor)
@@ -182,7 +182,7 @@ class NewtonIteration:
         bodies, start = state.bodies, state.bodies.motions
         motions = state.rows.contact_set.motions_after(change.displacements)
         turned = [end - begin for begin, end in zip(start, motions, strict=True)]
-        torn = self._load_step.torn
+        torn = self._load_case.torn
         fill_displacement(self._increment, torn.torn.subdomains, change.displacements)
         increment = np.concatenate([owned_values(self._increment), bodies.as_vector(turned)])
         new, length = self._shortened(state, increment, step, self._allowed_length(turned))
@@ -214,12 +214,12 @@ class NewtonIteration:
         at most mu: stresses above it, which equilibrium does not have, dominate the next tangent,
         and Newton's method wanders.
         """
-        load_step, limit = self._load_step, self._options.newton_step_limit
-        nodes = load_step.torn.nodes
-        u, du = nodes.values(load_step.u), nodes.values(self._increment)
-        size, trace = load_step.gradients.largest_increment(u, du)
+        load_case, limit = self._load_case, self._options.newton_step_limit
+        nodes = load_case.torn.nodes
+        u, du = nodes.values(load_case.u), nodes.values(self._increment)
+        size, trace = load_case.gradients.largest_increment(u, du)
         angles = [float(np.linalg.norm(motion[nodes.components :])) for motion in turned]
-        of_volume = np.sqrt(0.5 * trace / load_step.shear_over_bulk)
+        of_volume = np.sqrt(0.5 * trace / load_case.shear_over_bulk)
         # in units of what is allowed
         excess = max([size / limit, of_volume, *np.divide(angles, limit)])
         return 1.0 if excess <= 1.0 else float(1.0 / excess)
@@ -233,11 +233,11 @@ class NewtonIteration:
         problem.
         """
         options = self._options
-        has_settled = not any_rank(self._load_step.torn.nodes.comm, self._changed)
-        face = self._load_step.face_of(state, has_settled)
+        has_settled = not any_rank(self._load_case.torn.nodes.comm, self._changed)
+        face = self._load_case.face_of(state, has_settled)
         if (step := self._solve_again(face, state)) is not None:
             return step
-        on_face = any_rank(self._load_step.torn.nodes.comm, face.held)
+        on_face = any_rank(self._load_case.torn.nodes.comm, face.held)
         if options.tangent != "projected":
             self.has_unstable_tangents = False
             try:
@@ -246,7 +246,7 @@ class NewtonIteration:
             except UnstableTangent:
                 self.has_unstable_tangents = True
         if on_face:
-            face = self._load_step.face_of(state)
+            face = self._load_case.face_of(state)
             step = self._solve_on(face, state, "projected", monitor)
             if step is not None:
                 return step
@@ -257,16 +257,16 @@ class NewtonIteration:
 
     def _solve_again(self, face: Face, state: NewtonState) -> LinearisedStep | None:
         """Solve the linearised problem with the last set-up, if that is good for it. Collective."""
-        interruption.check(self._load_step.torn.nodes.comm)
+        interruption.check(self._load_case.torn.nodes.comm)
         frozen, self._frozen = self._frozen, None
         is_whole = bool(self.steps) and self.steps[-1].length == 1.0
-        if frozen is None or not is_whole or not frozen.serves(self._load_step, face):
+        if frozen is None or not is_whole or not frozen.serves(self._load_case, face):
             return None
         accuracy = self._options.solver.rtol, *self._accuracy(state)
         corrected = None
         # rows may have no values near the state
         with suppress(InputError, NotConverged):
-            corrected = frozen.corrected(self._load_step, state, face, accuracy, self._spent)
+            corrected = frozen.corrected(self._load_case, state, face, accuracy, self._spent)
         if corrected is None or corrected.left > _FAILED:
             return None
         self.set_up = frozen
@@ -295,17 +295,17 @@ class NewtonIteration:
 
         The system on another face of the state, and the one with its tangents, may be known.
         """
-        load_step, options = self._load_step, self._options
+        load_case, options = self._load_case, self._options
         if self.solver is not None and known is None:
             self.solver.release()
-        system = load_step.system_at(face, has_small_strains)
-        force, beyond = load_step.out_of_balance(state, face)
-        added = load_step.torn.spread(system.subdomains, force, beyond)
+        system = load_case.system_at(face, has_small_strains)
+        force, beyond = load_case.out_of_balance(state, face)
+        added = load_case.torn.spread(system.subdomains, force, beyond)
         system = replace(
             system,
             subdomains=[
                 replace(s, load=load, load_size=np.abs(s.load) + np.abs(load))
-                if s.nodes[0] < load_step.torn.nodes.total
+                if s.nodes[0] < load_case.torn.nodes.total
                 else replace(s, load=s.load + load)
                 for s, load in zip(system.subdomains, added, strict=True)
             ],
@@ -317,7 +317,7 @@ class NewtonIteration:
         self._spent.products += solution.report.products["total"]
         if not (is_last or solution.report.converged):
             return None
-        comm, pulling = load_step.torn.nodes.comm, face.pulling(solution.normal_force)
+        comm, pulling = load_case.torn.nodes.comm, face.pulling(solution.normal_force)
         if any_rank(comm, pulling):
             face, known = face.without(pulling), (system, prepared)
             return self._solve_on(face, state, tangent, monitor, is_last, known)
@@ -328,7 +328,7 @@ class NewtonIteration:
         if any_rank(comm, [lacks]):
             linear = self.solver.linear_problem()
             hessian = ContactHessian(
-                load_step,
+                load_case,
                 state.displacement,
                 face.with_free_forces(corrected.change.forces, solution.sticking),
                 system.subdomains,
@@ -360,7 +360,7 @@ class NewtonIteration:
         self, last: NewtonState, increment: Vector, step: LinearisedStep, length: float
     ) -> tuple[NewtonState, float]:
         """Return the state at the end of a step, halved until that can be evaluated."""
-        on_face = any_rank(self._load_step.torn.nodes.comm, step.face.held)
+        on_face = any_rank(self._load_case.torn.nodes.comm, step.face.held)
         while True:
             try:
                 displacement = last.displacement + length * increment
@@ -379,7 +379,7 @@ class NewtonIteration:
         self, last: NewtonState, displacement: Vector, multipliers: Multipliers, part: float
     ) -> NewtonState:
         """Return the state at the end of a part of a step."""
-        return self._load_step.state_at(
+        return self._load_case.state_at(
             displacement, multipliers, last.bodies, self._least, last.rows
         )
 
@@ -415,7 +415,7 @@ class NewtonIteration:
         distance = np.where(pressing, np.abs(rows.distance), -rows.distance)
         is_wrong = np.isfinite(distance)
         number = rows.contacts.contact[is_wrong]
-        comm = self._load_step.torn.nodes.comm
+        comm = self._load_case.torn.nodes.comm
         misfit = largest_of_groups(comm, distance[is_wrong], number, len(names), 0.0)
         worst = int(misfit.argmax()) if len(names) else 0
         return f"; surfaces are farthest from touching at {names[worst]}" if misfit.any() else ""
@@ -429,7 +429,7 @@ class NewtonIteration:
 
     def _alternation(self, surface_nodes: Numbers) -> str:
         """Say at which nodes contact opens and closes in turn, if at any. Collective."""
-        nodes = self._load_step.torn.nodes
+        nodes = self._load_case.torn.nodes
         alternating = np.unique(surface_nodes[self._alternating]) - nodes.first
         places = [format_point(x) for x in nodes.coordinates[alternating[:1]]]
         count = nodes.comm.allreduce(alternating.size)

@@ -90,7 +90,7 @@ def _reactions(
     # of several conditions for one displacement the last one counts
     columns = np.full((number.size, gdim), -1)
     columns[np.arange(number.size), prescribed.components] = number
-    of_nodes = nodes.sum_at_owners(prescribed.nodes, columns + 1, np.maximum) - 1
+    of_nodes = nodes.reduce_at_owners(prescribed.nodes, columns + 1, np.maximum) - 1
     sums = np.zeros((len(names), gdim + {2: 1, 3: 3}[gdim]))
     for k, total in enumerate(sums):
         force = np.where(of_nodes == k, supports, 0.0)

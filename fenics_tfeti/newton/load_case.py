@@ -53,7 +53,7 @@ class NewtonState:
 
 
 @dataclass(frozen=True)
-class LoadStep:
+class LoadCase:
     """A load step: what does not change in its Newton steps."""
 
     torn: TornProblem

@@ -31,7 +31,7 @@ class Rounding:
         """Measure the stiffness of subdomains. Collective."""
         at = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
         sizes = np.concatenate([np.zeros((0, 2)), *(_forces_of_one(s) for s in subdomains)])
-        strained, stiffness = nodes.sum_at_owners(at, sizes, np.maximum).T
+        strained, stiffness = nodes.reduce_at_owners(at, sizes, np.maximum).T
         extent = largest_of_ranks(nodes.comm, np.abs(nodes.coordinates))
         return Rounding(extent, strained, stiffness)
 

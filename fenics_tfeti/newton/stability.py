@@ -13,28 +13,28 @@ import numpy as np
 from fenics_tfeti.errors import format_point
 from fenics_tfeti.newton.contact_hessian import Spent
 from fenics_tfeti.newton.frozen_setup import FrozenSetup
-from fenics_tfeti.newton.load_case import LoadStep, NewtonState
+from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.typing import Vector
 
 # steps of inverse iteration, which tell the sign of an eigenvalue
 _STEPS = 5
 
 
-def instability(load_step: LoadStep, state: NewtonState, set_up: FrozenSetup) -> list[str]:
+def instability(load_case: LoadCase, state: NewtonState, set_up: FrozenSetup) -> list[str]:
     """Return a sentence if the energy falls along an eigenvector on the face. Collective.
 
     Pressing rows hold along it. Where others press than in the set-up, nothing is said.
     """
-    face, torn = load_step.face_of(state), load_step.torn
-    if not set_up.serves(load_step, face):
+    face, torn = load_case.face_of(state), load_case.torn
+    if not set_up.serves(load_case, face):
         return []
-    hessian = set_up.hessian(load_step, state, face, Spent())
+    hessian = set_up.hessian(load_case, state, face, Spent())
     nodes = torn.nodes
     no_gap, no_tied = np.zeros(face.contacts.size), np.zeros(face.rows.tied.size)
     beyond = np.zeros_like(face.rows.force(face.multipliers)[1])
     x, energy = _some_field(nodes.coordinates), 0.0
     for _ in range(_STEPS):
-        force = load_step.at_free(x / np.sqrt(nodes.comm.allreduce((x**2).sum())), face.rows)
+        force = load_case.at_free(x / np.sqrt(nodes.comm.allreduce((x**2).sum())), face.rows)
         change = hessian.response(force, no_gap, no_tied, beyond)
         x = torn.at_owned_nodes(change.displacements).reshape(force.shape)
         energy = nodes.comm.allreduce((x * force).sum())

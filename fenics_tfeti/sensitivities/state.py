@@ -278,7 +278,7 @@ class SolvedState:
         total = np.zeros((nodes.owned, nodes.components))
         for numbers, terms in self._terms(system, forces):
             in_mesh = numbers < nodes.total
-            total += nodes.sum_at_owners(numbers[in_mesh], terms[in_mesh])
+            total += nodes.reduce_at_owners(numbers[in_mesh], terms[in_mesh])
         return total.ravel()
 
     def body_forces(self, system: TornSystem, forces: RowValues) -> Vector:

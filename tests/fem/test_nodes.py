@@ -60,7 +60,7 @@ def test_values_are_summed_or_maximised_by_node():
     nodes = NodeMap(displacement_space(boxes(MPI.COMM_SELF, BODIES, "triangle").mesh))
     rows = np.array([4, 2, 4])
     for ufunc, expected in ((np.add, [0, 0, 2, 0, 4]), (np.maximum, [0, 0, 2, 0, 3])):
-        found = nodes.sum_at_owners(rows, np.array([1, 2, 3]), ufunc)
+        found = nodes.reduce_at_owners(rows, np.array([1, 2, 3]), ufunc)
         np.testing.assert_array_equal(found[:5], expected)
         assert not found[5:].any()
 
@@ -111,9 +111,9 @@ def test_values_of_all_ranks_are_summed_at_the_owners(nodes):
     number = COMM.allreduce(nodes.owned)
     rows = np.arange(number)
     own = nodes.first + np.arange(nodes.owned)
-    total = nodes.sum_at_owners(np.append(rows, 0), np.append(rows, 5))
+    total = nodes.reduce_at_owners(np.append(rows, 0), np.append(rows, 5))
     np.testing.assert_array_equal(total, COMM.size * (own + 5 * (own == 0)))
-    largest = nodes.sum_at_owners(rows, rows + COMM.rank, np.maximum)
+    largest = nodes.reduce_at_owners(rows, rows + COMM.rank, np.maximum)
     np.testing.assert_array_equal(largest, own + COMM.size - 1)
 
 

@@ -192,7 +192,7 @@ def test_moved_mesh_counts_slip_from_the_present_displacement():
     scene.problem.space.mesh.geometry.x[:] *= 1.0 + 1e-9
     scene.problem.solve()
     assert scene.problem.u.x.array.any()
-    assert not scene.problem._step.origin.displacement.any()
+    assert not scene.problem._accepted.origin.displacement.any()
 
 
 def test_list_of_contacts_that_grows_and_shrinks():

@@ -64,7 +64,7 @@ def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):
     begin = problem.restore(checkpoint) if checkpoint.exists() else 0
 
     def die(step):
-        here = (len(reports), len(problem._step.passes))
+        here = (len(reports), len(problem._accepted.passes))
         if here == dies_in and comm.rank == comm.size - 1:
             os.kill(os.getpid(), signal.SIGKILL)
 

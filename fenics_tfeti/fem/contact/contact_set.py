@@ -228,8 +228,8 @@ class ContactSet:
         frame, u = self.bodies.frame_of(found.body), origin.displacement
         start = conditions.relative(nodes.coordinates + u.reshape(-1, nodes.components))
         slid = frame.turn(frame.undeformed_places(on.slave) - (start - earlier))
-        ahead = frame.displacements(frame.ahead(self.bodies.from_here), on.places)
-        return on.slave - start + ahead - slid
+        moved = frame.displacements(frame.motion_outside_unknowns(self.bodies.from_here), on.places)
+        return on.slave - start + moved - slid
 
     def with_friction(self, uh: Function | None = None) -> ContactSet:
         """Return the set with friction at its conditions, by default undeformed. Collective."""

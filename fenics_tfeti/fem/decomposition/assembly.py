@@ -286,4 +286,4 @@ class TornMesh:
             loads = (forms or self.forms).loads(parts)
             at = [np.zeros(0, dtype=np.int32), *(part.nodes for part in parts)]
             values = np.concatenate([np.zeros(0), *loads]).reshape(-1, nodes.components)
-            return nodes.sum_at_owners(nodes.to_global(np.concatenate(at)), values)
+            return nodes.reduce_at_owners(nodes.to_global(np.concatenate(at)), values)

@@ -28,7 +28,9 @@ def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) 
         return tagged(faces, user.facet_tags, surface_tags(user))
     assert isinstance(entry, FoundTie)
     numbers = np.unique(entry.conditions.rows.nodes)
-    marks = nodes.sum_at_owners(numbers[numbers < nodes.total], np.ones(numbers.size, dtype=bool))
+    marks = nodes.reduce_at_owners(
+        numbers[numbers < nodes.total], np.ones(numbers.size, dtype=bool)
+    )
     mask = np.zeros(nodes.size, dtype=bool)
     mask[: nodes.owned] = marks > 0
     return over_ranks(nodes, mask, np.logical_or)[faces.facet_nodes()].all(axis=2)

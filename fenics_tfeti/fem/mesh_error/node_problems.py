@@ -74,7 +74,7 @@ def on_several_ranks(nodes: NodeMap, used: Indices) -> Mask:
     if nodes.comm.size == 1:
         return np.zeros(nodes.size, dtype=bool)
     distinct = nodes.to_global(np.unique(used))
-    ranks = nodes.sum_at_owners(distinct, np.ones(distinct.size, dtype=np.int64))
+    ranks = nodes.reduce_at_owners(distinct, np.ones(distinct.size, dtype=np.int64))
     shared = np.zeros(nodes.size, dtype=bool)
     shared[nodes.to_local(distinct)] = nodes.values_at(ranks, distinct) > 1
     return shared

@@ -129,7 +129,7 @@ def over_ranks(nodes: NodeMap, values: Array, ufunc: np.ufunc = np.add) -> Array
     if nodes.comm.size == 1:
         return values
     numbers = nodes.to_global(np.arange(nodes.size))
-    return nodes.values_at(nodes.sum_at_owners(numbers, values, ufunc), numbers)
+    return nodes.values_at(nodes.reduce_at_owners(numbers, values, ufunc), numbers)
 
 
 def _single(faces: CellFaces, nodes: NodeMap) -> Mask:

@@ -112,7 +112,7 @@ def test_step_that_is_not_accepted_is_no_step():
     )
     scene.problem.solve()
     assert not scene.problem.report.converged
-    assert not scene.problem._step.origin.displacement.any()
+    assert not scene.problem._accepted.origin.displacement.any()
 
 
 def test_moved_mesh_counts_slip_anew(pushed):

@@ -258,7 +258,7 @@ def mean_traction(
         size = (area.size, shares.nnz)
         S = sp.csr_matrix((shares.data, np.arange(shares.nnz), shares.indptr), shape=size)
         columns = nodes.values_at(
-            nodes.sum_at_owners(shares.indices, S.T @ columns), shares.indices
+            nodes.reduce_at_owners(shares.indices, S.T @ columns), shares.indices
         )
     traction = columns[:, :-1] / columns[:, -1:]
     return (traction if shares is None else S @ traction).reshape(force.shape)

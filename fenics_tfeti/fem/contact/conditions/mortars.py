@@ -93,7 +93,7 @@ def _held_by_supports(surface: Surface, slave: SurfaceFacets, prescribed: Mask) 
     all_fixed = np.broadcast_to(fixed.all(axis=1, keepdims=True), fixed.shape)
     flags = np.concatenate([all_fixed, fixed], axis=2).reshape(-1, 2 * gdim)
     nodes, corners = surface.boundary.nodes, slave.nodes[slave.facets.corners.ravel()]
-    flags = nodes.values_at(nodes.sum_at_owners(corners, flags, np.logical_or), slave.nodes)
+    flags = nodes.values_at(nodes.reduce_at_owners(corners, flags, np.logical_or), slave.nodes)
     return ~flags[:, :gdim] & flags[:, gdim:]
 
 
@@ -124,7 +124,7 @@ def _conditions(
     """Sum up the conditions at the owners of their nodes, none at free ones. Collective."""
     matrices = mortar_matrices(integrals, slave.facets, master.facets, dual)
     all_nodes = surface.boundary.nodes
-    sums = all_nodes.sum_at_owners(slave.nodes, node_sums(integrals, slave.facets))
+    sums = all_nodes.reduce_at_owners(slave.nodes, node_sums(integrals, slave.facets))
     coverage, support = coverage_and_support(all_nodes.values_at(sums, slave.nodes))
     limits = np.full(all_nodes.owned, BARELY_SUPPORTED)
     limits[before - all_nodes.first] = HARDLY_SUPPORTED
@@ -143,7 +143,7 @@ def _conditions(
     # at a rim the row's normal is that of the place that the row speaks of
     normal = matrices.D @ slave.from_corners(slave.normal)
     integrated = S @ np.column_stack([normal, matrices.gap, matrices.area])
-    means = all_nodes.sum_at_owners(nodes, integrated)[own]
+    means = all_nodes.reduce_at_owners(nodes, integrated)[own]
     normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
@@ -170,7 +170,7 @@ def _accuracy(
     """Measure how well conditions at own nodes (k,) fit their surfaces. Collective."""
     corners = slave.nodes[slave.facets.corners[integrals.facet]].ravel()
     largest = _largest_of_facets(slave, master, integrals)
-    sums = surface.boundary.nodes.sum_at_owners(corners, largest, np.maximum)
+    sums = surface.boundary.nodes.reduce_at_owners(corners, largest, np.maximum)
     chord, deviation, angle = sums[own].T
     contact = surface.facet_contact[integrals.facet]
     covered = np.bincount(contact, integrals.covered, len(surface.extent))

@@ -74,7 +74,7 @@ def meshes_match(slave: Surface, master: SurfaceFacets, tolerance: float) -> Mas
     matching = np.isin(number[len(master.facets) :], number[: len(master.facets)])
     # two bodies of the slave beside each other have nodes opposite the same one of the master
     nodes, partner = slave.boundary.nodes, master.nodes[partner]
-    number_of_slaves = nodes.sum_at_owners(partner, near.astype(np.int64))
+    number_of_slaves = nodes.reduce_at_owners(partner, near.astype(np.int64))
     is_only = nodes.values_at(number_of_slaves, partner) == 1
     match = np.ones(len(slave.extent), dtype=bool)
     match[slave.contact[~(near & is_only)]] = match[slave.facet_contact[~matching]] = False

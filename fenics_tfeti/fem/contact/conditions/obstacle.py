@@ -105,7 +105,7 @@ def conditions_at_obstacle(surface: Surface, obstacle: Obstacle) -> ObstacleCond
         surface.check_weight(terms.scale, rows)
     _, outward = gap_and_normal(surface, obstacle, places[rows], surface.normal[rows])
     # the nodes of a condition may be on facets of several ranks
-    at_owners = nodes.sum_at_owners(facets.nodes, nodal, np.maximum)
+    at_owners = nodes.reduce_at_owners(facets.nodes, nodal, np.maximum)
     gap = terms.means(nodes.values_at(at_owners, terms.nodes)[:, None])[:, 0]
     return ObstacleConditions(terms, -outward, gap, terms.scale, covered)
 

@@ -394,7 +394,7 @@ def _matched(
     all_nodes, partner = boundary.nodes, master.nodes[partner].ravel()
     columns = np.column_stack([partner, -partner, distance.ravel(), angle])
     local = np.unique(all_nodes.to_owners(numbers.ravel())[0])
-    largest = all_nodes.sum_at_owners(numbers.ravel(), columns, np.maximum)[local]
+    largest = all_nodes.reduce_at_owners(numbers.ravel(), columns, np.maximum)[local]
     highest, lowest = largest[:, 0].astype(np.int64), -largest[:, 1].astype(np.int64)
     places = boundary.coordinates[local, : len(t)]
     if bad := first_wrong(slave.comm, highest != lowest, places):

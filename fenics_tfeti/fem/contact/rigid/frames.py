@@ -94,7 +94,7 @@ class BodyFrame:
         """Return a motion (modes,) with the prescribed components as they are now."""
         return np.where(self.body.is_free, motion, self.body.prescribed_motion)
 
-    def ahead(self, from_here: bool) -> Vector:
+    def motion_outside_unknowns(self, from_here: bool) -> Vector:
         """Return the motion (modes,) that is not among the unknowns, from where the body is."""
         return self.with_prescribed(from_here * self.motion) - self.motion
 

@@ -149,7 +149,7 @@ class RigidNodes:
             shift = np.zeros_like(self.x)
             for frame, on in self._frames(bodies):
                 at = frame.turned_places(self.x[on])
-                shift[on] = frame.displacements(frame.ahead(True), at)
+                shift[on] = frame.displacements(frame.motion_outside_unknowns(True), at)
         return displacement - shift.ravel()
 
     def fill(self, uh: Function, bodies: RigidBodies, is_small: bool) -> Function:

@@ -23,7 +23,7 @@ def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
     """Return the sum of the diagonal entries (owned,) at each node [N/m]. Collective."""
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
     diagonals = [s.stiffness.diagonal().reshape(s.nodes.size, -1).sum(axis=1) for s in subdomains]
-    return nodes.sum_at_owners(numbers, np.concatenate([np.zeros(0), *diagonals]))
+    return nodes.reduce_at_owners(numbers, np.concatenate([np.zeros(0), *diagonals]))
 
 
 def roles_ratios(

@@ -72,7 +72,7 @@ def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vect
     for k in np.flatnonzero(_are_curved(surface, contact, normal)):
         of_contact, of_facets = contact == k, surface.facet_contact == k
         points = surface.points[rows[of_contact]]
-        if cylinder := Cylinder.of(surface.comm, points, normal[of_contact]):
+        if cylinder := FittedCylinder.of(surface.comm, points, normal[of_contact]):
             axes[k], limits[k] = cylinder.axis, cylinder.tolerance
             places = corners[of_facets]
             on = np.abs(cylinder.distance(places.reshape(-1, 3)))
@@ -99,7 +99,7 @@ def _are_curved(surface: Surface, contact: Numbers, normal: Vector) -> Mask:
 
 
 @dataclass(frozen=True)
-class Cylinder:
+class FittedCylinder:
     """A round cylinder."""
 
     centre: Vector  # (3,): a point on the axis [m]
@@ -108,7 +108,7 @@ class Cylinder:
     tolerance: float = 0.0  # largest distance of points that are on it [m]
 
     @staticmethod
-    def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> Cylinder | None:
+    def of(comm: MPI.Intracomm, points: Vector, normals: Vector) -> FittedCylinder | None:
         """Return the cylinder on which points are, to rounding; None if there is none. Collective.
 
         A load across the axis must do no work along it. Points of few digits tell their axis if
@@ -125,7 +125,7 @@ class Cylinder:
         # x - r n is about the same point everywhere
         n = (normals - mean) @ cross_axes
         xn, nn = comm.allreduce(np.array([np.sum((x @ cross_axes) * n), np.sum(n * n)]))
-        fit = Cylinder(-xn / nn * mean, axis_estimate, float(abs(xn / nn)))
+        fit = FittedCylinder(-xn / nn * mean, axis_estimate, float(abs(xn / nn)))
         for _ in range(8):
             fit = fit._improved(comm, x, cross_axes)
         misfit = comm.allreduce(float(np.abs(fit.distance(x)).max(initial=0.0)), MPI.MAX)
@@ -138,7 +138,7 @@ class Cylinder:
             return None
         axis = coordinate_axis if is_coordinate_axis else fit.axis
         tolerance = size * (2.0 * max(misfit, _ROUND))
-        return Cylinder(middle + size * fit.centre, axis, size * fit.radius, tolerance)
+        return FittedCylinder(middle + size * fit.centre, axis, size * fit.radius, tolerance)
 
     def distance(self, points: Vector) -> Vector:
         """Return signed distances (k,) of points, positive outside [m]."""
@@ -149,7 +149,7 @@ class Cylinder:
         x = points - self.centre
         return x - np.outer(x @ self.axis, self.axis)
 
-    def _improved(self, comm: MPI.Intracomm, x: Vector, cross_axes: Vector) -> Cylinder:
+    def _improved(self, comm: MPI.Intracomm, x: Vector, cross_axes: Vector) -> FittedCylinder:
         """Return it after a step of Gauss and Newton towards points (k, 3) about 0. Collective."""
         radial = self._radial(x)
         distance, outward = np.linalg.norm(radial, axis=1), unit(radial) @ cross_axes
@@ -158,4 +158,4 @@ class Cylinder:
         step = np.linalg.lstsq(gram[:, :-1], gram[:, -1], rcond=None)[0]
         axis, centre = self.axis + cross_axes @ step[2:4], self.centre + cross_axes @ step[:2]
         centre = centre - self.axis * (centre @ self.axis)
-        return Cylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))
+        return FittedCylinder(centre, axis / np.linalg.norm(axis), self.radius + float(step[4]))

@@ -207,7 +207,7 @@ class Surface:
         """Sum values (f, v, ...) at corners of facets at their owned nodes (k, ...). Collective."""
         nodes, vertices = self.boundary.nodes, self.vertices
         flat = values.reshape(vertices.size, *values.shape[2:])
-        sums = nodes.sum_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
+        sums = nodes.reduce_at_owners(nodes.to_global(vertices.ravel()), flat, ufunc)
         return sums[self.local]
 
     def max_of_facets(self, values: Vector) -> Vector:
@@ -447,8 +447,8 @@ def surface_of(
     edges = edge_lengths(x[:, : vertices.shape[1]]).mean(axis=1)
     local = np.unique(nodes.to_owners(numbers)[0])
     integrals = np.concatenate([weighted, sizes], axis=2).reshape(-1, gdim + 1)
-    sums = nodes.sum_at_owners(numbers, integrals)[local]
-    size = nodes.sum_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
+    sums = nodes.reduce_at_owners(numbers, integrals)[local]
+    size = nodes.reduce_at_owners(numbers, np.repeat(edges, vertices.shape[1]), np.minimum)[local]
     none = np.zeros((0, gdim))
     area, extent = sums[:, gdim], np.zeros(len(names))
     surface = Surface(

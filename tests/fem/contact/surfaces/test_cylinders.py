@@ -7,7 +7,7 @@ import pytest
 
 from dolfinx import mesh as dmesh
 
-from fenics_tfeti.fem.contact.surfaces.normals import Cylinder, without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.normals import FittedCylinder, without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.io import displacement_space
 
@@ -33,7 +33,7 @@ def points_and_normals(tilt=1e-2, side="pin", span=2 * np.pi, turn=TURN, bulge=N
 @pytest.mark.parametrize("side", SIDES)
 def test_the_axis_is_known_to_rounding(tilt, span, side):
     points, normals = points_and_normals(tilt, side, span)
-    cylinder = Cylinder.of(MPI.COMM_SELF, points, normals)
+    cylinder = FittedCylinder.of(MPI.COMM_SELF, points, normals)
     assert abs(cylinder.axis @ TURN[:, 2]) == pytest.approx(1.0, rel=1e-15)
     assert np.abs(np.cross(cylinder.axis, TURN[:, 2])).max() < 1e-13
     assert cylinder.radius == pytest.approx(5.0, rel=1e-12)
@@ -41,21 +41,21 @@ def test_the_axis_is_known_to_rounding(tilt, span, side):
 
 
 def test_coordinate_axes_are_exact():
-    cylinder = Cylinder.of(MPI.COMM_SELF, *points_and_normals(turn=UPRIGHT))
+    cylinder = FittedCylinder.of(MPI.COMM_SELF, *points_and_normals(turn=UPRIGHT))
     assert sorted(np.abs(cylinder.axis)) == [0.0, 0.0, 1.0]
 
 
 def test_coordinates_of_few_digits_tell_coordinate_axes_only():
     for turn, known in ((UPRIGHT, True), (TURN, False)):
         points, normals = points_and_normals(turn=turn)
-        found = Cylinder.of(MPI.COMM_SELF, np.round(points, 5), normals)
+        found = FittedCylinder.of(MPI.COMM_SELF, np.round(points, 5), normals)
         assert (found is not None) == known
 
 
 def test_an_axis_beside_a_coordinate_axis_is_itself():
     c, s = np.cos(1e-5), np.sin(1e-5)
     tilted = np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-    cylinder = Cylinder.of(MPI.COMM_SELF, *points_and_normals(turn=tilted))
+    cylinder = FittedCylinder.of(MPI.COMM_SELF, *points_and_normals(turn=tilted))
     np.testing.assert_allclose(np.abs(cylinder.axis), np.abs(tilted[:, 2]), atol=1e-13)
 
 
@@ -71,7 +71,7 @@ def test_an_axis_beside_a_coordinate_axis_is_itself():
 )
 @pytest.mark.parametrize("turn", [UPRIGHT, TURN], ids=["upright", "turned"])
 def test_what_is_no_round_cylinder(bulge, turn):
-    assert Cylinder.of(MPI.COMM_SELF, *points_and_normals(bulge=bulge, turn=turn)) is None
+    assert FittedCylinder.of(MPI.COMM_SELF, *points_and_normals(bulge=bulge, turn=turn)) is None
 
 
 @pytest.mark.parametrize("curvature", [0.0, 1e-3, 0.2], ids=["plane", "bowl", "deep bowl"])
@@ -80,11 +80,11 @@ def test_planes_and_bowls_are_none(curvature):
     normals = np.column_stack([-curvature * x, -curvature * y, np.ones(300)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     points = np.column_stack([x, y, 0.5 * curvature * (x * x + y * y)])
-    assert Cylinder.of(MPI.COMM_SELF, points, normals) is None
+    assert FittedCylinder.of(MPI.COMM_SELF, points, normals) is None
 
 
 def test_no_points():
-    assert Cylinder.of(MPI.COMM_SELF, np.zeros((0, 3)), np.zeros((0, 3))) is None
+    assert FittedCylinder.of(MPI.COMM_SELF, np.zeros((0, 3)), np.zeros((0, 3))) is None
 
 
 def quarter_of_a_ring(comm, tags=(ROUND, TOP)):
