@@ -22,7 +22,7 @@ from scenes import Scene
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
-from fenics_tfeti import Exact
+from fenics_tfeti import Deformed
 
 COARSE = {"elements": 2, "growth": 1.2, "coarsest": 0.03, "layers": 4}
 FINER = {"elements": 2, "growth": 1.0, "coarsest": 0.025, "layers": 6}
@@ -56,7 +56,7 @@ def problem_of(bearing, slices, tolerance, load=LOAD):
     cells = {body: bodies.cell_tags.find(names[body]) for body in bearing.names}
     return scene.problem(
         subdomains=subdomain_labels(bearing, cells, middles, slices),
-        geometry=Exact(tolerance),
+        gaps=Deformed(tolerance),
         options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
     )
 

@@ -79,7 +79,7 @@ def solve_by_tfeti(scene: Scene, rtol: float, partitioner: str = "auto") -> Answ
     pressure[problem.results[0].nodes] = problem.results[0].pressure
     return parts.answer(
         uh.x.array.copy(),
-        float(problem.results[0].normal_force.sum()),
+        float(problem.results[0].nodal_normal_force.sum()),
         pressure,
         iterations=problem.report.products["total"],
         iterations_of="products with F",

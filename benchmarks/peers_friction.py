@@ -48,7 +48,7 @@ def compare(n: int) -> tuple[int, dict[str, Any]]:
         "nodes": len(along_x),
         "sticking": int(np.count_nonzero(contact.friction.sticking)),
         "displacement": float(np.abs(u[order] - v[other]).max() / np.abs(v).max()),
-        "normal": float(np.abs(contact.normal_force[along_x] - normal).max() / normal.max()),
+        "normal": float(np.abs(contact.nodal_normal_force[along_x] - normal).max() / normal.max()),
         "tangential": float(np.abs(friction - tangential).max() / np.abs(tangential).max()),
     }
 

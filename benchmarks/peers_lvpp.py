@@ -79,7 +79,7 @@ def solve_by_tfeti(ball: Scene) -> tuple[Any, float, int]:
     ball.add_obstacle(BOTTOM, plane(2, 3))
     problem = ball.problem(cell_tags=None)
     u = problem.solve()
-    force = float(problem.results[0].normal_force.sum())
+    force = float(problem.results[0].nodal_normal_force.sum())
     return u, force, problem.report.products["total"]
 
 

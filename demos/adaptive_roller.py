@@ -97,7 +97,7 @@ for degree in (1, 2):
     if comm.rank == 0:
         print(f"Displacements of degree {degree}")
     found[degree] = adapt(
-        lambda mesh, degree=degree: problem_on(mesh, degree), block, error=0.05, monitor=True
+        lambda mesh, degree=degree: problem_on(mesh, degree), block, error=0.05, print_progress=True
     )
     levels = found[degree].levels
     unknowns, errors = zip(*((level.unknowns, 100 * level.error) for level in levels), strict=True)

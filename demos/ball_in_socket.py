@@ -106,7 +106,7 @@ for force, style in zip(forces, ("", "C0o", "", "C1s", "", "C3^"), strict=True):
     uh = problem.solve()
     nodes = problem.results[0].gather()
     x, y = nodes.coordinates[:, :2].T
-    radii.append(np.sqrt(5 / 2 * nodes.normal_force @ x**2 / nodes.normal_force.sum()))
+    radii.append(np.sqrt(5 / 2 * nodes.nodal_normal_force @ x**2 / nodes.nodal_normal_force.sum()))
     peaks.append(nodes.pressure.max())
     F = abs(problem.report.contacts[0].force[1])
     a = np.cbrt(3 * F * R / (4 * E_star))

@@ -103,7 +103,7 @@ uh = problem.solve()
 # ## Load and pressure of a roller
 
 inner = problem.results["inner"].gather()
-Q = inner.normal_force.sum() / (n if whole else 1)
+Q = inner.nodal_normal_force.sum() / (n if whole else 1)
 statics = axial / (n * np.sin(bearing.alpha))
 radius = (bearing.pitch_radius - bearing.radius * np.cos(bearing.alpha)) / np.cos(bearing.alpha)
 curvature = 1 / bearing.radius + 1 / radius

@@ -101,7 +101,7 @@ for (clearance, (finer_angle, finer_end)), style in zip(finer.items(), "os^", st
     x, y, z = nodes.coordinates.T
     t = np.degrees(np.arctan2(np.abs(y), -x))  # y = -0.0 is in the plane of symmetry
     forces.append(4 * abs(problem.report.contacts[0].force[0]))
-    angle = np.sqrt(nodes.normal_force @ t**2 / nodes.normal_force.sum())
+    angle = np.sqrt(nodes.nodal_normal_force @ t**2 / nodes.nodal_normal_force.sum())
     end = mesh.comm.allreduce(fem.assemble_scalar(fem.form(uh[0] * ds(tags["pulled"])))) / area
     errors.append((angle / finer_angle - 1, end / finer_end - 1))
     if mesh.comm.rank == 0:

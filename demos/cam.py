@@ -14,7 +14,7 @@ way, so that M is smaller. Its work is the energy that the bodies and the spring
 
 Linear elasticity has no large rotations: the mesh of the cam is turned rigidly between the steps,
 and its displacement counts from there. Contact is exact on the deformed surfaces
-(`geometry=Exact()`), whose meshes do not match.
+(`gaps=Deformed()`), whose meshes do not match.
 
 This demo illustrates how to
 
@@ -37,7 +37,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Exact
+from fenics_tfeti import ContactPair, ContactProblem, Deformed
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic, symmetry_plane
 
@@ -83,7 +83,7 @@ for name, axis in (("bore", 0), ("bore", 1), ("guide", 0)):
     bcs.append(symmetry_plane(V, facet_tags, tags[name], axis))
 
 contact = ContactPair(facet_tags, slave=tags["cam"], master=tags["foot"])
-geometry = Exact(tolerance=1e-4, max_passes=40)
+gaps = Deformed(tolerance=1e-4, max_passes=40)
 
 # ## Turning the cam
 #
@@ -106,7 +106,7 @@ def moment_of(problem, uh):
     nodes = problem.results[0]
     first = V.dofmap.index_map.local_range[0]
     y = nodes.coordinates[:, :2] + uh.x.array.reshape(-1, 2)[nodes.nodes - first]
-    force = -nodes.normal_force[:, None] * nodes.normal
+    force = -nodes.nodal_normal_force[:, None] * nodes.normal
     return -comm.allreduce(float(np.sum(y[:, 0] * force[:, 1] - y[:, 1] * force[:, 0])))
 
 
@@ -115,7 +115,7 @@ def moment_of(problem, uh):
 # The problem is set up at the first angle. Moved nodes are noticed in each solve.
 
 turn(0)
-problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], geometry=geometry)
+problem = ContactProblem(a(u, v), 0, bcs=bcs, contacts=[contact], gaps=gaps)
 M, energy = [], []
 for step, t in enumerate(angles):
     turn(t)

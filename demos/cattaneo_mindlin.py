@@ -104,7 +104,7 @@ for push, style in ((0.0, ""), (8e-6, "o"), (16e-6, "s"), (24e-6, "^")):
     inner = p > 0.3 * p.max()
     slope, constant = np.polyfit(x[inner] ** 2, p[inner] ** 2, 1)
     a, p0 = np.sqrt(-constant / slope), np.sqrt(constant)
-    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    P, Q = contact.nodal_normal_force.sum(), -contact.friction.force[:, 0].sum()
     c = a * np.sqrt(1 - Q / (friction * P))
     stick = np.abs(x[contact.friction.sticking]).max()
     size = contact.area[np.abs(x) < a].max()

@@ -88,7 +88,7 @@ def flat_end(x):
     return gap, np.tile([[0.0], [-1.0]], gap.size)
 
 
-contact = RigidObstacle(facet_tags, slave=TOP, obstacle=flat_end, body=punch)
+contact = RigidObstacle(facet_tags, slave=TOP, obstacle=flat_end, rigid_body=punch)
 options = {"preconditioner": "lumped"}
 problem = ContactProblem(form, 0, bcs=bcs, contacts=[contact], options=options)
 

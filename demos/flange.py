@@ -57,7 +57,7 @@ comm = MPI.COMM_WORLD
 
 numbers = (1, 2, 3)
 cuts = [
-    Interface(f"bolt {k}", f"bolt {k}", f"below {k}", f"above {k}", facets=f"cut {k}")
+    Interface((f"bolt {k}", f"bolt {k}"), (f"below {k}", f"above {k}"), facets=f"cut {k}")
     for k in numbers
 ]
 parts = read_msh(here.parent / "meshes" / "flange.msh", comm, split=cuts)

@@ -109,7 +109,7 @@ W = 9810 * np.pi * radius**2 * length
 errors = {}
 for contact in problem.results:
     contact = contact.gather()
-    force, statics = contact.normal_force @ contact.normal / W, expected[contact.name]
+    force, statics = contact.nodal_normal_force @ contact.normal / W, expected[contact.name]
     errors[contact.name] = np.linalg.norm(force - statics) / np.linalg.norm(statics)
     if mesh.comm.rank == 0:
         print(f"{contact.name:15s} {force.round(5)} W, relative error {errors[contact.name]:.1e}")

@@ -90,7 +90,7 @@ moves = shapes(start)
 
 def pressures():
     result = problem.results["joint"]
-    return result.coordinates[:, 0], result.normal_force / result.area, result.area
+    return result.coordinates[:, 0], result.nodal_normal_force / result.area, result.area
 
 
 def solve(heights):

@@ -124,7 +124,9 @@ def problem_on(parts):
 
 # ## Meshes until the error is 1 %
 
-problem, estimate, levels = adapt(problem_on, new_mesh(), error=0.01, remesh=new_mesh, monitor=True)
+problem, estimate, levels = adapt(
+    problem_on, new_mesh(), error=0.01, remesh=new_mesh, print_progress=True
+)
 joint = problem.results["joint"].gather()
 if comm.rank == 0:
     print(problem.report.mesh_error)

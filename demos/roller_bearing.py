@@ -25,7 +25,7 @@ This demo illustrates how to
 There is no cage in the small bearing. Without it and without friction, a roller between rings that
 are not concentric is pushed slowly towards the wider gap. Each pass of the exact non-penetration
 follows it by some micrometres along the raceway, while penetration and forces have converged.
-The tolerance of `Exact` is therefore 5e-3.
+The tolerance of `Deformed` is therefore 5e-3.
 
 Run it by `python demos/roller_bearing.py`, or on several processes by
 `mpirun -n 2 python demos/roller_bearing.py`. With the argument `full` it takes the full size of
@@ -45,7 +45,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import compute_midpoints
 
-from fenics_tfeti import ContactPair, ContactProblem, Exact
+from fenics_tfeti import ContactPair, ContactProblem
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
@@ -57,6 +57,8 @@ from roller_bearing import (  # noqa: E402
     small_bearing,
     subdomain_labels,
 )
+
+from fenics_tfeti import Deformed
 
 results = Path("results")
 results.mkdir(exist_ok=True)
@@ -126,7 +128,7 @@ problem = ContactProblem(
     cell_tags=bodies.cell_tags,
     subdomains=labels,
     # of the full size the second pass ends at 1.6e-2
-    geometry=Exact(tolerance=3e-2 if full else 5e-3),
+    gaps=Deformed(tolerance=3e-2 if full else 5e-3),
     options={"rtol": 1e-4, "preconditioner": "dirichlet", "deflation": "on"},
 )
 uh = problem.solve()
@@ -137,7 +139,7 @@ report = problem.report
 raceways = {contact.name: contact.gather() for contact in problem.results}
 loads = {}
 for contact_name, contact in raceways.items():
-    force = contact.normal_force[:, None] * contact.normal
+    force = contact.nodal_normal_force[:, None] * contact.normal
     k = bearing.roller_of(contact.coordinates.T)
     sums = [np.bincount(k, force[:, i], bearing.rollers) for i in range(3)]
     loads[contact_name] = np.linalg.norm(sums, axis=0)
@@ -169,7 +171,7 @@ rigid = rigid_loads(fsolve(out_of_balance, start)).reshape(bearing.rows, -1)
 
 # ## Results
 
-sums = {n: c.normal_force @ c.normal for n, c in raceways.items() if "raceway" in n}
+sums = {n: c.nodal_normal_force @ c.normal for n, c in raceways.items() if "raceway" in n}
 on_inner = sum(force for n, force in sums.items() if "inner" in n)
 on_outer = -sum(force for n, force in sums.items() if "outer" in n)
 balance = max(np.abs(force + sign * load).max() for force, sign in ((on_inner, 1), (on_outer, 1)))

@@ -89,7 +89,7 @@ products = {"solves": 0, "adjoints": 0}
 
 def pressures():
     strip = problem.results["strip"]
-    x, p = strip.coordinates[:, 0], strip.normal_force / strip.area
+    x, p = strip.coordinates[:, 0], strip.nodal_normal_force / strip.area
     return x, (p - np.where(x < w + 1e-9, mean, 0.0)) / mean
 
 

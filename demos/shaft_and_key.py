@@ -58,7 +58,7 @@ problem = ContactProblem(
     bcs=bcs,
     contacts="auto",
     cell_tags=bodies.cell_tags,
-    rigid={tags["shaft"]: shaft},
+    rigid_bodies={tags["shaft"]: shaft},
 )
 uh = problem.solve()
 

@@ -100,7 +100,7 @@ for sign, body, inner, outer in ((-1, "shaft", bore, radius), (1, "hub", radius,
 lame = interference / radius / flexibility
 
 nodes = problem.results[0].gather()
-pressure = nodes.normal_force.sum() / nodes.area.sum()
+pressure = nodes.nodal_normal_force.sum() / nodes.area.sum()
 spread = np.abs(nodes.pressure / lame - 1).max()
 if mesh.comm.rank == 0:
     print(problem.report.matching_table())

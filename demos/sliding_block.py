@@ -8,7 +8,7 @@ part of the block is prescribed, so that the block does not rotate; its vertical
 free. A traction presses it down. The result is the horizontal force H(s) that the motion needs.
 
 Linearised contact conditions are those of the undeformed surfaces: each node of the foot slides on
-a straight line, whether there is a bump or not. With `geometry=Exact()` the
+a straight line, whether there is a bump or not. With `gaps=Deformed()` the
 solver measures normals and gaps on the deformed surfaces, pairs the nodes anew, and solves again,
 until no node penetrates and each contact force acts at a closed gap.
 
@@ -38,7 +38,7 @@ import numpy as np
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Along, ContactPair, ContactProblem, Exact
+from fenics_tfeti import Along, ContactPair, ContactProblem, Deformed
 from fenics_tfeti.io import displacement_space, draw_deformed, draw_profile, read_msh, von_mises
 from fenics_tfeti.models import isotropic
 
@@ -85,12 +85,12 @@ for name, component, value in prescribed:
 contact = ContactPair(
     facet_tags, slave=tags["block surface"], master=tags["base surface"], partners=Along((0, 1))
 )
-exact = Exact(tolerance=1e-5, max_passes=40)
-problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], geometry=exact)
+exact = Deformed(tolerance=1e-5, max_passes=40)
+problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], gaps=exact)
 
 # For comparison, a problem whose only geometry pass gives the linearised solution.
 
-once = {"geometry": Exact(max_passes=1), "options": {"error_if_not_converged": False}}
+once = {"geometry": Deformed(max_passes=1), "options": {"error_if_not_converged": False}}
 
 
 def tell(line):
@@ -117,7 +117,7 @@ for step, s in enumerate(steps, start=first):
     shift.value = s
     uh = problem.solve()
     nodes = problem.results[0].gather()
-    push = nodes.normal_force @ nodes.normal
+    push = nodes.nodal_normal_force @ nodes.normal
     H.append(push[0])
     F.append(-push[1])
 

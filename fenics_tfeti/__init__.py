@@ -26,19 +26,22 @@ from fenics_tfeti.errors import (
 _LAZY = {
     name: f"fenics_tfeti.{module}"
     for module, names in {
-        "fem.contact.descriptions.contacts": "ContactPair Exact RigidObstacle SelfContact",
+        "fem.contact.descriptions.contacts": "ContactPair Deformed RigidObstacle SelfContact",
         "fem.contact.descriptions.friction": "Coulomb Tresca",
-        "fem.contact.descriptions.partners": "Along Mapped Nearest Points",
+        "fem.contact.descriptions.partners": "Along Mapped Mortar Nearest Points",
         "fem.contact.descriptions.rigid_body": "RigidBody",
         "fem.contact.descriptions.shapes": "Cylinder FacetedObstacle Plane Sphere",
         "fem.contact.descriptions.ties": "BoltPreload LinearRows PeriodicPair TiedPair",
-        "fem.contact.solution.results": "BoltResult ContactResult FrictionResult Results "
-        "RigidBodyResult TiedResult",
         "fem.contact.search.automatic": "find_contacts",
+        "fem.contact.solution.results": "BoltResult ContactEntry ContactResult FrictionResult "
+        "Results RigidBodyResult TiedResult",
         "adaptive": "Adapted MeshLevel adapt",
         "fem.mesh_error.estimate": "BodyMeshError ContactMeshError MeshError MeshErrorEntry",
-        "nonlinear": "NonlinearContactProblem",
+        "newton.iteration": "NewtonStep",
+        "nonlinear": "NonlinearContactProblem NonlinearReport",
+        "options": "ContactOptions NewtonOptions",
         "problem": "ContactProblem",
+        "report": "ContactReport",
         "sensitivities.adjoint": "Adjoint",
         "sensitivities.linear_solves": "LinearSolves",
         "sensitivities.tangent": "Tangent",

@@ -77,7 +77,7 @@ def adapt(
     error: float,
     max_unknowns: int = 100_000,
     remesh: Callable[[Any], TaggedMesh] | None = None,
-    monitor: bool = False,
+    print_progress: bool = False,
 ) -> Adapted:
     """Solve on meshes that follow the error, until it is small enough. Collective.
 
@@ -98,7 +98,7 @@ def adapt(
         `fenics_tfeti.io.set_mesh_sizes`. By default the cells with two fifths of the error are
         refined, which is for triangles and tetrahedra with straight edges whose surfaces in contact
         with each other are plane.
-    monitor : bool
+    print_progress : bool
         Whether to print a line for each mesh.
 
     Returns
@@ -136,7 +136,7 @@ def adapt(
         )
         levels.append(level)
         logger.info("%s", level)
-        if monitor:
+        if print_progress:
             print_on_first_rank(mesh.mesh.comm, str(level))
         if level.error <= error or level.unknowns > max_unknowns:
             return Adapted(problem, estimate, levels)

@@ -286,7 +286,7 @@ class _Pressing:
         least = _least_opening(solved)
         opening = np.concatenate([r.opening for r in results])
         force = np.zeros(nodes.owned)
-        np.add.at(force, place, np.concatenate([r.normal_force for r in results]))
+        np.add.at(force, place, np.concatenate([r.nodal_normal_force for r in results]))
         is_open = np.zeros(nodes.owned, dtype=bool)
         is_open[place[opening > least]] = True
         mask = force > 0.0
@@ -322,7 +322,7 @@ def large_rotations(bodies: Iterable[RigidBodyResult]) -> list[str]:
     angles = {body.name: float(np.linalg.norm(body.rotation)) for body in bodies}
     return [
         f"{name} turns by {angle:.2g} rad, but rotations are small here: its points move along "
-        "straight lines, and normals stay as they are. geometry=Exact() turns it by any angle"
+        "straight lines, and normals stay as they are. gaps=Deformed() turns it by any angle"
         for name, angle in angles.items()
         if angle > LARGE_GRADIENT
     ]

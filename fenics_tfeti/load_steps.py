@@ -29,7 +29,7 @@ from fenics_tfeti.fem.contact.descriptions.arguments import (
     as_conditions,
     as_contacts,
     as_displacement,
-    as_rigid,
+    as_rigid_bodies,
 )
 from fenics_tfeti.fem.contact.descriptions.contacts import SelfContact
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
@@ -95,7 +95,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         bcs: Any,
         contacts: Any,
         cell_tags: Any,
-        rigid: Any,
+        rigid_bodies: Any,
         subdomains: Sequence[int] | None,
         measure_weight: Any,
         compiler: CompilerOptions,
@@ -118,7 +118,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 bcs=self.bcs,
                 contacts=list(self.contacts),
                 cell_tags=cell_tags,
-                rigid_bodies=as_rigid(rigid),
+                rigid_bodies=as_rigid_bodies(rigid_bodies),
                 subdomains=subdomains,
                 subdomain_size=options.subdomain_size,
                 partitioner=options.partitioner,

@@ -82,7 +82,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
     J : ufl.Form, optional
         Tangent, by default the derivative of `F` with respect to `u`. It need not be symmetric, as
         with `fenics_tfeti.models.follower_pressure`.
-    cell_tags, subdomains, measure_weight, rigid, form_compiler_options, jit_options
+    cell_tags, subdomains, measure_weight, rigid_bodies, form_compiler_options, jit_options
         As for `ContactProblem`.
     options : mapping, optional
         Names and values, see `fenics_tfeti.options.NewtonOptions`.
@@ -132,7 +132,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
         measure_weight: Any = None,
-        rigid: Mapping[int, RigidBody] | None = None,
+        rigid_bodies: Mapping[int, RigidBody] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
@@ -144,7 +144,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             bcs=bcs,
             contacts=contacts,
             cell_tags=cell_tags,
-            rigid=rigid,
+            rigid_bodies=rigid_bodies,
             subdomains=subdomains,
             measure_weight=measure_weight,
             compiler=_compat.CompilerOptions(form_compiler_options, jit_options),

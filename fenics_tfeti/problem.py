@@ -15,8 +15,8 @@ from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_geometry
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Exact
+from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Deformed
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
@@ -55,7 +55,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
     contacts : sequence of contacts and ties, one of them, "auto" or None
         What may touch: ContactPair, RigidObstacle; and what stays together: TiedPair, PeriodicPair,
         BoltPreload, LinearRows. "auto" is `find_contacts` of the mesh and `cell_tags`, with whole
-        faces if there is a `geometry`: ``contacts`` of the problem has the pairs.
+        faces if there are `gaps`: ``contacts`` of the problem has the pairs.
     cell_tags : MeshTags, optional
         A tag for every cell, where bodies are to be told apart by tags: each tag is one body, its
         cells connected through facets. Bodies that share facets are glued there. By default the
@@ -65,7 +65,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         A label for each cell that this rank owns: cells with the same label make a subdomain. By
         default each rank splits its cells into blocks or by a graph partitioner, see the option
         ``partitioner``.
-    geometry : Exact, optional
+    gaps : Deformed, optional
         Whether the normals and gaps of contacts are those of the undeformed surfaces, which is for
         displacements along them that are small beside the facets, or are corrected until the
         deformed surfaces touch.
@@ -83,8 +83,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         ``r``, with ``r = SpatialCoordinate(mesh)[0]``, in axisymmetric forms, the thickness in
         forms of a thin sheet. By default 1. Mortar conditions integrate with it, linearly
         interpolated between the nodes of a facet. Its values may change between solves. With
-        `geometry` and finite strains x in it is the deformed place; functions move with the nodes.
-    rigid : mapping of int to RigidBody, optional
+        `gaps` and finite strains x in it is the deformed place; functions move with the nodes.
+    rigid_bodies : mapping of int to RigidBody, optional
         Rigid bodies by the tags of their cells in `cell_tags`. Their stiffness is not assembled,
         and their surfaces are masters of contact pairs and ties; `L` acts on them.
     form_compiler_options, jit_options : mapping, optional
@@ -100,7 +100,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         `TiedResult`. Empty before the first solve.
     rigid_bodies : Results
         For each rigid body, by number or name, a `RigidBodyResult`: its motion and the forces on
-        it. Bodies are numbered in the order of `rigid`, then of the obstacles.
+        it. Bodies are numbered in the order of `rigid_bodies`, then of the obstacles.
     report : ContactReport
         Sizes, iterations, residuals and times, after `solve`.
 
@@ -133,15 +133,15 @@ class ContactProblem(SteppedProblem[ContactReport]):
         subdomains: Sequence[int] | None = None,
         options: Mapping[str, Any] | None = None,
         options_prefix: str = "tfeti_",
-        geometry: Exact | None = None,
+        gaps: Deformed | None = None,
         measure_weight: Any = None,
-        rigid: Mapping[int, RigidBody] | None = None,
+        rigid_bodies: Mapping[int, RigidBody] | None = None,
         form_compiler_options: Mapping[str, Any] | None = None,
         jit_options: Mapping[str, Any] | None = None,
     ) -> None:
         check_real_numbers()
         _return_free_memory()
-        self.geometry = as_geometry(geometry)
+        self.gaps = as_gaps(gaps)
         super().__init__(
             *as_forms(a, L),
             u,
@@ -149,7 +149,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             bcs=bcs,
             contacts=contacts,
             cell_tags=cell_tags,
-            rigid=rigid,
+            rigid_bodies=rigid_bodies,
             subdomains=subdomains,
             measure_weight=measure_weight,
             compiler=_compat.CompilerOptions(form_compiler_options, jit_options),
@@ -267,7 +267,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 self._torn,
                 self._solved,
                 self._solution.torn_displacements,
-                self.geometry is not None,
+                self.gaps is not None,
             )
             estimate = estimate_mesh_error(cells, self.report.certificate.error)
         self._report = replace(self.report, mesh_error=estimate.entry)
@@ -306,7 +306,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         Raises
         ------
         InputError
-            The problem is not solved, or has changed since; J is not a functional; `geometry` is
+            The problem is not solved, or has changed since; J is not a functional; `gaps` is
             given: rows that follow the displacement are not differentiated.
         UnresistedMotion
             J changes by a motion that nothing resists.
@@ -366,7 +366,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         Examples
         --------
         >>> tangent = problem.tangent({E: dE}, gaps={"joint": 1e-6})  # doctest: +SKIP
-        >>> tangent.u, tangent.normal_force("joint")  # doctest: +SKIP
+        >>> tangent.u, tangent.nodal_normal_force("joint")  # doctest: +SKIP
         """
         state = self._state_for_derivatives(None)
         change = Change.of(state, data or {}, gaps or {}, slip_bounds or {}, coefficients or {})
@@ -376,10 +376,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
     def _state_for_derivatives(self, J: ufl.Form | None) -> SolvedState:
         """Return the solved problem for its derivatives, after checking that it is one."""
         with raise_collectively(self.space.mesh.comm):
-            if self.geometry is not None:
+            if self.gaps is not None:
                 raise InputError(
-                    "derivatives are those of undeformed surfaces: with geometry=Exact() normals "
-                    "and gaps follow the displacement, which they leave out. Leave geometry out"
+                    "derivatives are those of undeformed surfaces: with gaps=Deformed() normals "
+                    "and gaps follow the displacement, which they leave out. Leave gaps out"
                 )
             if self._solved is None or self._solution is None or not self.report.converged:
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
@@ -410,7 +410,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     @property
     def _exact(self) -> str:
-        return "" if self.geometry is None else "geometry=Exact()"
+        return "" if self.gaps is None else "gaps=Deformed()"
 
     def _first_origin(self) -> SlipOrigin:
         return SlipOrigin.at(Function(self.space))
@@ -433,7 +433,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         of_mesh, certified = self._torn.bodies, self.report.certificate.bodies
         energy = [body.energy_norm**2 for body in certified[: of_mesh.deformable]]
         energy += [0.0] * (len(of_mesh.names) - of_mesh.deformable)
-        bodies = self.rigid_bodies if self.geometry is None else ()
+        bodies = self.rigid_bodies if self.gaps is None else ()
         comm, weak = self.space.mesh.comm, self.report.weak_motions
         return [*large_rotations(bodies), *large_gradients(comm, strains, of_mesh, energy, weak)]
 
@@ -448,10 +448,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
         # also at first: values may have changed since the problem was set up
         self._refresh()
         solved = None if coarse is None else self._solved_on(coarse)
-        if self.geometry is None:
+        if self.gaps is None:
             self._solve_linearised(self._torn.undeformed, solved, monitor)
             return self.u
-        return self._solve_exactly(self.geometry, solved, monitor, checkpoint)
+        return self._solve_exactly(self.gaps, solved, monitor, checkpoint)
 
     def _check_coarse(self, coarse: Any) -> None:
         if (method := self.options.solver.method) != "active_set":
@@ -480,7 +480,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             error.solution = self._store_results(error.solution, contact_set)
             error.report = self.report
             raise
-        self._store_results(solution, contact_set, is_last=self.geometry is None)
+        self._store_results(solution, contact_set, is_last=self.gaps is None)
         return solution
 
     def _guess(
@@ -496,7 +496,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def _solve_exactly(
         self,
-        geometry: Exact,
+        gaps: Deformed,
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
         checkpoint: str | os.PathLike[str] | None,
@@ -512,14 +512,14 @@ class ContactProblem(SteppedProblem[ContactReport]):
             solution = self._solve_linearised(contact_set, None if passes else coarse, monitor)
             new_pass = self._geometry_pass(contact_set, solution)
             passes = [*passes, replace(new_pass, seconds=self._timer.lap(comm))]
-            is_exact = new_pass.error <= geometry.tolerance
-            is_last = is_exact or len(passes) >= geometry.max_passes
+            is_exact = new_pass.error <= gaps.tolerance
+            is_last = is_exact or len(passes) >= gaps.max_passes
             if is_last:
                 self._store_results(solution, contact_set)
             seconds = self._timer.slowest(comm)
             self._report = replace(self.report, passes=passes, seconds=seconds)
             if is_last:
-                return self.u if is_exact else self._not_exact(geometry, self.u, passes[-1])
+                return self.u if is_exact else self._not_exact(gaps, self.u, passes[-1])
             self._accepted = replace(self._accepted, passes=passes)
             self._save(checkpoint)
             assert self._deformed is not None
@@ -556,17 +556,17 @@ class ContactProblem(SteppedProblem[ContactReport]):
         with self._timer.phase("deformed surfaces"):
             return undeformed.deformed(uh, bodies, last)[0].with_friction(uh)
 
-    def _not_exact(self, geometry: Exact, uh: Function, last: GeometryPass) -> Function:
+    def _not_exact(self, gaps: Deformed, uh: Function, last: GeometryPass) -> Function:
         reason = (
-            f"limit of {geometry.max_passes} geometry passes (max_passes): the misfit of the "
+            f"limit of {gaps.max_passes} geometry passes (max_passes): the misfit of the "
             "deformed surfaces (penetration and separation relative to the largest displacement, "
             f"slip, tilt, imbalance of rigid bodies, friction) is {last.error:.1e}"
         )
         self._report = replace(self.report, converged=False, reason=reason)
         if self.options.solver.error_if_not_converged:
             raise NotConverged(
-                f"no exact non-penetration to {geometry.tolerance:g}: {reason}. Raise "
-                "max_passes or the tolerance of Exact, or set error_if_not_converged to false",
+                f"no exact non-penetration to {gaps.tolerance:g}: {reason}. Raise "
+                "max_passes or the tolerance of Deformed, or set error_if_not_converged to false",
                 uh,
                 self.report,
             )
@@ -577,7 +577,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
     ) -> Function:
         uh = fill_displacement(self.u, self._torn.torn.subdomains, solution.displacements)
         bodies = contact_set.bodies.moved(contact_set.motions_after(solution.displacements))
-        uh = self._torn.fill(uh, bodies, is_small=self.geometry is None)
+        uh = self._torn.fill(uh, bodies, is_small=self.gaps is None)
         self._store(solution, contact_set, bodies, is_last)
         self._accepted = replace(self._accepted, displacement=owned_values(uh))
         return uh

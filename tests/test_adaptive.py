@@ -23,7 +23,7 @@ def test_roller_to_five_percent(degree, most, capsys):
         lambda mesh: roller_on(mesh, degree),
         block_of_triangles(COMM, 4),
         error=0.05,
-        monitor=True,
+        print_progress=True,
     )
     assert found.estimate.error <= 0.05
     assert found.levels[-1].unknowns < most

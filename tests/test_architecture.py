@@ -35,7 +35,7 @@ LAYERS = {
 FEM_ORDER = [
     "messages",
     "tolerances",
-    "geometry",
+    "gaps",
     "form_numbers",
     "assembly_loops",
     "_compat",

@@ -167,17 +167,17 @@ def test_last_iterate_of_a_limit_is_no_finished_step(path):
     disc.height = HEIGHTS[-1]
     problem.solve(checkpoint=path)
     kept = path.read_bytes()
-    problem.geometry = replace(problem.geometry, max_passes=1)
+    problem.gaps = replace(problem.gaps, max_passes=1)
     disc.height = HEIGHTS[-1] + 0.02
     with pytest.raises(NotConverged):
         problem.solve(checkpoint=path)
     assert path.read_bytes() == kept
     # nor does the next solve count the passes of one that failed
-    problem.geometry, disc.height = replace(problem.geometry, max_passes=2), HEIGHTS[-1] + 0.01
+    problem.gaps, disc.height = replace(problem.gaps, max_passes=2), HEIGHTS[-1] + 0.01
     with pytest.raises(NotConverged):
         problem.solve()
     failed = problem.report.passes
-    problem.geometry = replace(problem.geometry, max_passes=40)
+    problem.gaps = replace(problem.gaps, max_passes=40)
     problem.solve()
     assert len(failed) == 2 and failed[0] not in problem.report.passes
 
@@ -210,7 +210,7 @@ def test_coordinates_and_contacts_of_another_problem(saved):
 
 
 def test_other_supports_are_another_start(saved):
-    found, other = (block_on_disc(block(COMM), Disc(), held=1, geometry=None) for _ in range(2))
+    found, other = (block_on_disc(block(COMM), Disc(), held=1, gaps=None) for _ in range(2))
     assert found.restore(saved[1]) == 0
     exact = other.solve()
     np.testing.assert_allclose(found.solve().x.array, exact.x.array, atol=1e-8)
@@ -241,7 +241,7 @@ def test_other_subdomains_start_from_the_contact_forces(path):
     disc = Disc()
     disc.height = HEIGHTS[-1]
     solved, other = (
-        block_on_disc(block(COMM), disc, subdomain_size=size, geometry=None) for size in (60, 25)
+        block_on_disc(block(COMM), disc, subdomain_size=size, gaps=None) for size in (60, 25)
     )
     exact = solved.solve()
     solved.advance()
@@ -269,7 +269,7 @@ def test_smalbe_starts_from_nothing_on_other_subdomains(path):
 def test_other_subdomains_count_slip_from_the_last_step(path):
     def problem(size):
         disc = Disc()
-        changes = {"friction": Coulomb(0.3), "geometry": None}
+        changes = {"friction": Coulomb(0.3), "gaps": None}
         return disc, block_on_disc(block(COMM), disc, subdomain_size=size, **changes)
 
     disc, whole = problem(60)

@@ -213,7 +213,7 @@ def test_fluid_pressure():
     """Without the fluid and its pressure the rest of the load makes the same contact."""
     variables = recipe("fluid_pressure")
     wet, problem, fluid = variables["wet"], variables["problem"], variables["fluid"]
-    assert wet.normal_force.sum() + variables["lift"] == pytest.approx(4e4, rel=1e-8)
+    assert wet.nodal_normal_force.sum() + variables["lift"] == pytest.approx(4e4, rel=1e-8)
     variables["load"].value -= fluid
     variables["p"].x.array[:] = 0.0
     problem.solve()
@@ -348,8 +348,8 @@ def test_periodic(folder):
     ]
     problem.solve()
     joint, side, top = problem.results
-    assert 0.3 * joint.normal_force.sum() >= np.linalg.norm(joint.friction.force.sum(axis=0))
-    assert top.force[1] == pytest.approx(-joint.normal_force.sum(), rel=1e-6)
+    assert 0.3 * joint.nodal_normal_force.sum() >= np.linalg.norm(joint.friction.force.sum(axis=0))
+    assert top.force[1] == pytest.approx(-joint.nodal_normal_force.sum(), rel=1e-6)
     assert side.force[0] < 0.0
 
 
@@ -363,8 +363,8 @@ def test_bolts(folder):
     problem = run_blocks((DOCS / "howto" / "bolts.md").read_text(), given)["problem"]
     bolt, joint, head = (problem.results[name] for name in ("bolt", "joint", "head"))
     assert 40e3 < bolt.tension < 50e3
-    assert head.normal_force.sum() == pytest.approx(bolt.tension, rel=1e-6)
-    assert joint.normal_force.sum() == pytest.approx(bolt.tension - 10e3, rel=1e-6)
+    assert head.nodal_normal_force.sum() == pytest.approx(bolt.tension, rel=1e-6)
+    assert joint.nodal_normal_force.sum() == pytest.approx(bolt.tension - 10e3, rel=1e-6)
 
 
 def draw_bolt_in_block() -> None:

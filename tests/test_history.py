@@ -15,7 +15,7 @@ from fenics_tfeti import (
     ContactPair,
     ContactProblem,
     Coulomb,
-    Exact,
+    Deformed,
     InputError,
     NonlinearContactProblem,
     NotConverged,
@@ -54,8 +54,8 @@ class PressedBlock:
             options = {"newton_rtol": 1e-6, "rtol": 1e-6}
             self.problem = NonlinearContactProblem(F, u, options=options, **data)
         else:
-            geometry = Exact(1e-7) if kind == "exact" else None
-            data |= {"geometry": geometry, "options": {"rtol": 1e-8}}
+            gaps = Deformed(1e-7) if kind == "exact" else None
+            data |= {"gaps": gaps, "options": {"rtol": 1e-8}}
             self.problem = ContactProblem(scene.a, scene.L, **data)
 
     def obstacle(self, tags, name, tag, sign, moved_by):

@@ -51,7 +51,7 @@ problem = ContactProblem(
 problem.solve()
 contact, a, modulus = problem.results[0], np.sqrt(R * DEPTH), YOUNG / (1 - POISSON**2)
 force, pressure = 4 / 3 * modulus * a * DEPTH, 2 * modulus * DEPTH / (np.pi * a)
-computed, largest = 4 * contact.normal_force.sum(), contact.pressure.max()
+computed, largest = 4 * contact.nodal_normal_force.sum(), contact.pressure.max()
 print(f"force    {computed:.5f}, published {force:.5f}   {computed / force - 1:+.2%}")
 print(f"pressure {largest:.5f}, published {pressure:.5f}   {largest / pressure - 1:+.2%}")
 print(f"{problem.report.products['total']} products with F")

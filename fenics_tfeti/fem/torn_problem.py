@@ -267,14 +267,14 @@ def _check_rigid_tags(space: FunctionSpace, bodies: Bodies, rigid: Mapping[int, 
     for tag, body in rigid.items():
         if tag not in tags:
             raise InputError(
-                f"rigid: {tag!r} is no tag of cell_tags, which have {tags}"
+                f"rigid_bodies: {tag!r} is no tag of cell_tags, which have {tags}"
                 if tags
-                else "rigid: the bodies are those of the tags of cells; pass cell_tags too"
+                else "rigid_bodies: the bodies are those of the tags of cells; pass cell_tags too"
             )
         if body.gdim != space.mesh.geometry.dim:
             raise InputError(
-                f"rigid: the reference point of the body with tag {tag} has {body.gdim} "
+                f"rigid_bodies: the reference point of the body with tag {tag} has {body.gdim} "
                 f"coordinates, the mesh {space.mesh.geometry.dim}"
             )
     if not bodies.deformable:
-        raise InputError("rigid: all bodies are rigid; leave a deformable one at least")
+        raise InputError("rigid_bodies: all bodies are rigid; leave a deformable one at least")

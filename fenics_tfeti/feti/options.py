@@ -68,7 +68,7 @@ class Options:
     mprgp_expansion : {"projected_cg", "standard"}
         Expansion step of MPRGP: the projected conjugate gradient step with the standard one as
         fall-back, or the half step and fixed step of algorithm 8.2.
-    monitor : bool
+    print_progress : bool
         Print a line for each step of the iterations, on rank 0.
     error_if_not_converged : bool
         Raise `NotConverged`, or else return the iterate with the smallest certificate, with
@@ -93,7 +93,7 @@ class Options:
     mprgp_gamma: float = 1.0
     mprgp_alpha: float = 1.9
     mprgp_expansion: Expansion = "projected_cg"
-    monitor: bool = False
+    print_progress: bool = False
     error_if_not_converged: bool = True
 
     @property
@@ -181,7 +181,7 @@ def _convert(name: str, value: Any, kind: Any) -> Any:
         return value
     if kind is bool:
         truth = {"true": True, "1": True, "yes": True, "false": False, "0": False, "no": False}
-        # an option without a value, as -tfeti_monitor
+        # an option without a value, as -tfeti_print_progress
         word = str(value).lower() or "true"
         if word not in truth:
             raise InputError(f"option {name!r} is {value!r}, it has to be true or false")

@@ -373,7 +373,9 @@ class TornSolver:
         comm = self.system.comm
         watched = any_rank(comm, monitor is not None)
         with interruption.deferred():
-            return self._solve(Monitor(history, comm, monitor, watched, self.options.monitor))
+            return self._solve(
+                Monitor(history, comm, monitor, watched, self.options.print_progress)
+            )
 
     def _solve(self, monitor: Monitor) -> TornSolution:
         setup = self.setup.for_solve(_is_direct(self._start))

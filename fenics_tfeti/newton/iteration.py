@@ -162,7 +162,7 @@ class NewtonIteration:
     def _report(self, monitor: Monitor | None) -> None:
         """Pass the last step on to the user."""
         number, step = len(self.steps), self.steps[-1]
-        if self._options.solver.monitor:
+        if self._options.solver.print_progress:
             print_on_first_rank(self._load_case.torn.nodes.comm, f"Newton step {number}: {step}")
         if monitor is not None:
             monitor(step)

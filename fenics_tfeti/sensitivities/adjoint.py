@@ -397,7 +397,7 @@ class Adjoint:
     def _obstacle(self, name: str | int) -> RigidObstacle:
         found, _ = self._state.parts_of(name)[0]
         contact = self._state.torn.contacts[found.number]
-        if not isinstance(contact, RigidObstacle) or contact.body is not None:
+        if not isinstance(contact, RigidObstacle) or contact.rigid_body is not None:
             raise InputError(f"contact {name!r} is none with a rigid obstacle that is held")
         return contact
 

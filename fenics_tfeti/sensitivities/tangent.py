@@ -90,7 +90,7 @@ class Tangent:
         self.u, _ = state.displacement(solution, "du")
         fill_owned(self.u, owned_values(self.u) + change.prescribed)
 
-    def normal_force(self, name: str | int) -> Vector:
+    def nodal_normal_force(self, name: str | int) -> Vector:
         """Return the changes (k,) of the normal forces at the nodes of ``results[name]`` [N]."""
         return self._forces.normal[self._state.rows_of(name)]
 

@@ -15,7 +15,7 @@ from interruptions import InterruptedTimer, interrupt_after
 from sparse_rows import distributed
 from torn import column
 
-from fenics_tfeti import Exact, Interrupted, Plane, RigidObstacle
+from fenics_tfeti import Deformed, Interrupted, Plane, RigidObstacle
 from fenics_tfeti.feti import Options, TornSolver, interruption, save_system
 
 COMM = MPI.COMM_WORLD
@@ -197,7 +197,7 @@ def test_signal_after_the_solution():
         return plane(x)
 
     contacts = [RigidObstacle(scene.facet_tags, scenes.GROUND, obstacle)]
-    problem = scene.problem(contacts=contacts, geometry=Exact())
+    problem = scene.problem(contacts=contacts, gaps=Deformed())
     with pytest.raises(Interrupted) as caught:
         problem.solve(monitor=solved.append)
     assert caught.value.report is problem.report and problem.report.converged

@@ -94,7 +94,7 @@ def _solve(level: str, seed: int, comm: MPI.Comm) -> _Case:
 
     meshed = draw_mesh_case(seed)
     found = attempt(lambda: _solve_mesh(meshed, comm))
-    exact = meshed if meshed.geometry is not None else None
+    exact = meshed if meshed.gaps is not None else None
     return _Case(found, lambda: glue(meshed), meshed.options["rtol"], meshed.story, exact=exact)
 
 
@@ -157,10 +157,10 @@ def _solve_mesh(problem: Any, comm: MPI.Comm) -> Found:
         nodes = slave.number(whole.coordinates)
         order = np.argsort(nodes)
         assert np.array_equal(nodes[order], slave.nodes), "the contact's nodes"
-        force.append(whole.normal_force[order])
+        force.append(whole.nodal_normal_force[order])
         assert (whole.friction is not None) == (number in problem.friction), "friction"
         # tangents of deformed surfaces are others
-        if whole.friction is not None and problem.geometry is None:
+        if whole.friction is not None and problem.gaps is None:
             along = tangents(problem, number, whole.coordinates[order, :gdim])
             on_slave = whole.friction.force[order]
             tangential.append(-np.einsum("kta,ka->kt", along, on_slave))

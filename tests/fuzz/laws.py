@@ -42,7 +42,9 @@ class Laws:
         self.results = list(self.problem.results)
         self.forces = [self._on_nodes(result) for result in self.results]
         self.bodies = list(posed.rigid.values()) + [
-            c.body for c in self.problem.contacts if getattr(c, "body", None) is not None
+            c.rigid_body
+            for c in self.problem.contacts
+            if getattr(c, "rigid_body", None) is not None
         ]
         self.bodies = list({id(body): body for body in self.bodies}.values())
         self.motion = dict(zip(map(id, self.bodies), self.problem.rigid_bodies, strict=True))
@@ -63,7 +65,7 @@ class Laws:
         found = {"equilibrium": self._out_of_balance()}
         found["converged"] = 0.0 if self.problem.report.converged else np.inf
         for k, contact in enumerate(self.problem.contacts):
-            if not hasattr(self.results[k], "normal_force"):
+            if not hasattr(self.results[k], "nodal_normal_force"):
                 continue
             of_contact = self._signs(self.results[k])
             if isinstance(contact, RigidObstacle) and self.posed.degree == 1:
@@ -84,7 +86,7 @@ class Laws:
         if hasattr(result, "nodal_force"):
             of_nodes = result.nodal_force
         else:
-            of_nodes = -result.normal_force[:, None] * result.normal
+            of_nodes = -result.nodal_normal_force[:, None] * result.normal
             if result.friction is not None:
                 of_nodes = of_nodes + result.friction.force
             if result.on_master:
@@ -158,7 +160,7 @@ class Laws:
 
     def _signs(self, result: Any) -> dict[str, float]:
         """Compare the forces and openings of a result with the conditions of contact."""
-        largest, force = self.posed.largest, result.normal_force
+        largest, force = self.posed.largest, result.nodal_normal_force
         opening = np.where(np.isfinite(result.opening), result.opening, 0.0)
         pressed = force > self.allowed * self.force
         scale = self.allowed * self.length or 1.0
@@ -175,15 +177,15 @@ class Laws:
         gap, normal = (np.asarray(part) for part in contact.obstacle(x.T))
         normal = np.asarray(normal)[: self.gdim].T
         if self.posed.method == "linear":
-            moved = u - self.motion_of(contact.body, x[:, : self.gdim])
+            moved = u - self.motion_of(contact.rigid_body, x[:, : self.gdim])
             gap = gap + np.einsum("ka,ka->k", normal, moved)
         else:
             places = x.copy()
-            places[:, : self.gdim] = self.before(contact.body, x[:, : self.gdim] + u)
+            places[:, : self.gdim] = self.before(contact.rigid_body, x[:, : self.gdim] + u)
             gap = np.asarray(contact.obstacle(places.T)[0])
         finite = np.isfinite(gap)
         force = np.zeros(self.owned)
-        force[self.results[k].dofs] = self.results[k].normal_force
+        force[self.results[k].dofs] = self.results[k].nodal_normal_force
         force = force[there]
         scale = self.allowed * max(self.length, 1e-6 * self.extent)
         pressed = finite & (force > 1e-4 * self.force)
@@ -220,7 +222,7 @@ class Laws:
         size, scale = np.linalg.norm(friction.force, axis=1), self.allowed * self.force or 1.0
         bound = friction.bound
         if isinstance(contact.friction, Coulomb) and np.isscalar(contact.friction.coefficient):
-            bound = contact.friction.coefficient * result.normal_force
+            bound = contact.friction.coefficient * result.nodal_normal_force
         slips = (friction.state == 2) & (bound > scale)
         found = {
             "cone": largest(np.maximum(size - bound, 0.0)) / scale,
@@ -229,7 +231,7 @@ class Laws:
         at_rest = isinstance(contact, RigidObstacle) and contact.displacement is None
         if (
             at_rest
-            and contact.body is None
+            and contact.rigid_body is None
             and self.posed.method == "linear"
             and self.posed.is_first
         ):
@@ -254,7 +256,7 @@ class Laws:
         size = 0.0
         for contact, of_nodes in zip(self.problem.contacts, self.forces, strict=True):
             if isinstance(contact, RigidObstacle):
-                acts = contact.body is body
+                acts = contact.rigid_body is body
             else:
                 masters = np.concatenate(
                     self.comm.allgather(own[self.posed.nodes_on(contact.master)])

@@ -23,7 +23,7 @@ from oracle import Answer
 from outcome import Found, Outcome, outcome_of, without_solution, worst
 from torn_problems import SOFT
 
-from fenics_tfeti import Exact
+from fenics_tfeti import Deformed, Mortar
 from fenics_tfeti.errors import NotConverged
 
 Vector = NDArray[np.float64]
@@ -45,7 +45,7 @@ def draw_mesh_case(seed: int) -> MeshProblem:
     _raise_degree(problem, np.random.default_rng([seed, 6]))
     _tilt_facets(problem, np.random.default_rng([seed, 7]))
     if np.random.default_rng([seed, 8]).random() < 0.1 and problem.slider is None:
-        problem.geometry = Exact(PENETRATION)
+        problem.gaps = Deformed(PENETRATION)
         problem.grounds = [replace(g, tilt=0.0) for g in problem.grounds]
         problem.story.append("exact non-penetration, no tilts")
     keep_held_roles(problem)
@@ -141,7 +141,10 @@ def _choose_pairing(problem: MeshProblem, rng: Generator) -> None:
     for number in range(len(problem.joints)):
         kind, roles = str(rng.choice(["auto", "mortar"])), str(rng.choice(["auto", "given"]))
         if rng.random() < 0.4:
-            problem.pairing[number] = {"partners": None if kind == "auto" else kind, "roles": roles}
+            problem.pairing[number] = {
+                "partners": None if kind == "auto" else Mortar(),
+                "roles": roles,
+            }
     problem.story.append(f"pairing {problem.pairing}")
 
 
@@ -159,7 +162,7 @@ def check_roles(problem: MeshProblem, exchanged: list[bool]) -> None:
     """Check that slave and master are exchanged where that is wanted and better."""
     for number, j in enumerate(problem.joints):
         given = problem.pairing.get(number, {})
-        mortar = given.get("partners") == "mortar" or problem.degree > 1
+        mortar = given.get("partners") == Mortar() or problem.degree > 1
         rubbing = problem.friction.get(number)
         may = mortar and given.get("roles") != "given" and (rubbing is None or rubbing.part == 1.0)
         assert may or not exchanged[number], "exchanged without need"

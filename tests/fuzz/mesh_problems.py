@@ -26,7 +26,7 @@ from dolfinx import fem
 from dolfinx.fem import petsc
 from dolfinx.mesh import Mesh, meshtags
 
-from fenics_tfeti import ContactProblem, Coulomb, Exact, Plane, Sphere, Tresca
+from fenics_tfeti import ContactProblem, Coulomb, Deformed, Mortar, Plane, Sphere, Tresca
 from fenics_tfeti.fem import _compat
 
 Vector = NDArray[np.float64]
@@ -120,7 +120,7 @@ class MeshProblem:
     tractions: list[tuple[int, int, int, Vector]] = field(default_factory=list)
     weights: Vector = field(default_factory=lambda: np.zeros(0))  # (boxes, gdim)
     options: dict[str, Any] = field(default_factory=dict)
-    geometry: Exact | None = None
+    gaps: Deformed | None = None
     story: list[str] = field(default_factory=list)
     friction: dict[int, Rubbing] = field(default_factory=dict)  # by contact
     pairing: dict[int, dict[str, Any]] = field(default_factory=dict)  # arguments, by joint
@@ -467,7 +467,7 @@ def ground_function(problem: MeshProblem, ground: Ground) -> Any:
             gap = np.full(len(place), ground.gap + out @ ground.moved)
         if ground.kind == "patch":
             gap = np.where(place[:, (ground.axis + 1) % gdim] < PATCH, gap, ground.far)
-        if problem.geometry is not None:
+        if problem.gaps is not None:
             gap = gap + ground.side * (level - x[ground.axis])
         return gap, _tilted(-out, ground, place).T
 
@@ -522,7 +522,7 @@ def pose(problem: MeshProblem, comm: MPI.Comm) -> tuple[ContactProblem, Scene]:
             displacement=None if rubbing is None else rubbing.moved,
         )
     scene.a = sum(_springs(problem, scene), scene.a)
-    return scene.problem(geometry=problem.geometry, options=problem.options), scene
+    return scene.problem(gaps=problem.gaps, options=problem.options), scene
 
 
 # -- for the oracle --------------------------------------------------------------------------------
@@ -610,7 +610,7 @@ def _held(problem: MeshProblem, contact: int, face: tuple[int, int, int], nodes:
     """
     box, axis, side = face
     held = np.zeros(nodes.size, dtype=bool)
-    asked = problem.pairing.get(contact, {}).get("partners") == "mortar"
+    asked = problem.pairing.get(contact, {}).get("partners") == Mortar()
     if contact >= len(problem.joints) or not (problem.degree == 2 or asked):
         return held
     for s in problem.supports:
@@ -833,7 +833,7 @@ def penetrations(problem: MeshProblem, deformed: Vector) -> Vector:
             # less where the master is inclined
             slope = np.abs(np.diff(across) / np.diff(along)).max()
             depth = joint.side * (slave[:, joint.axis] - level) / np.sqrt(1.0 + slope**2)
-            if problem.pairing.get(number, {}).get("partners") == "mortar":
+            if problem.pairing.get(number, {}).get("partners") == Mortar():
                 curves = master, deformed[_face_nodes(problem, *face)]
                 depth -= max(_deviation(x[:, [1 - joint.axis, joint.axis]]) for x in curves)
             depths.append(depth[np.isfinite(depth)])

@@ -17,7 +17,7 @@ from scenes import Scene, strain
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, Exact, NonlinearContactProblem, RigidBody, Tresca
+from fenics_tfeti import ContactProblem, Deformed, NonlinearContactProblem, RigidBody, Tresca
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.io import piecewise_constant
 
@@ -265,17 +265,15 @@ class Posed(Scene):
     def make(self, **more: Any) -> Any:
         """Return the package's problem."""
         given = {"bcs": self.bcs, "contacts": self.contacts, "cell_tags": self.cell_tags}
-        given |= {"options": self.accuracy, "rigid": self.rigid}
+        given |= {"options": self.accuracy, "rigid_bodies": self.rigid}
         given |= {"measure_weight": self.weight, **more}
         elastic = sum(self.terms[1:], self.terms[0])
         if self.method == "finite":
             residual = elastic - self.L if self.L else elastic
             self.solved = NonlinearContactProblem(residual, self.now, **given)
         else:
-            exact = Exact(EXACT) if self.method == "exact" else None
-            self.solved = ContactProblem(
-                elastic, self.L, u=self.now, **{"geometry": exact, **given}
-            )
+            exact = Deformed(EXACT) if self.method == "exact" else None
+            self.solved = ContactProblem(elastic, self.L, u=self.now, **{"gaps": exact, **given})
         return self.solved
 
     def solve(self, **more: Any) -> Answer:

@@ -68,7 +68,7 @@ def moving_bodies(draw: Draw) -> Ratios:
             # it lies on the surface
             gap = 0.0
         posed.add_obstacle(
-            TOP, ceiling(g, 1.0 + gap, low, high), body=body, name=name, friction=law
+            TOP, ceiling(g, 1.0 + gap, low, high), rigid_body=body, name=name, friction=law
         )
     posed.solve()
     return Laws(posed).ratios()
@@ -184,9 +184,9 @@ def travelling_plate(draw: Draw) -> Ratios:
             elif turned and moved:
                 # the same plate before it travels
                 before = lambda x: flat(x + up(g, 0.0, moved)[:, None])  # noqa: E731
-                posed.add_obstacle(TOP + k, before, body=plate, name=name, friction=law)
+                posed.add_obstacle(TOP + k, before, rigid_body=plate, name=name, friction=law)
             else:
-                posed.add_obstacle(TOP + k, flat, body=plate, name=name, friction=law)
+                posed.add_obstacle(TOP + k, flat, rigid_body=plate, name=name, friction=law)
         posed.accuracy["subdomain_size"] = 3000
         answer = posed.solve()
         if has_cells:
@@ -260,7 +260,7 @@ def turning_obstacle(draw: Draw) -> Ratios:
         if by_body:
             body = frame.body(centre, translation=[0.0, 0.0], rotation=0.0, name="roller")
             body = type(body)(body.reference, translation=way, rotation=turn, name="roller")
-            posed.add_obstacle(TOP, roller, body=body, friction=law, name="roller")
+            posed.add_obstacle(TOP, roller, rigid_body=body, friction=law, name="roller")
         else:
             posed.add_obstacle(TOP, roller, displacement=moved, friction=law, name="roller")
         posed.solve()

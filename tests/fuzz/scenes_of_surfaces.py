@@ -32,7 +32,7 @@ from scenes import at, dimension
 
 from dolfinx.mesh import CellType, create_rectangle, locate_entities, meshtags
 
-from fenics_tfeti import Coulomb, TiedPair, Tresca
+from fenics_tfeti import Coulomb, Mortar, TiedPair, Tresca
 from fenics_tfeti.errors import UnresistedMotion
 from fenics_tfeti.io import Interface, TaggedMesh, split_interfaces, tag_facets
 
@@ -56,7 +56,7 @@ def corners(draw: Draw) -> Ratios:
     posed = draw.pose(frame, cell, parts, marks, method, young=[1.0, stiff])
     posed.hold(BASE)
     posed.hold(LOADED, up(g, -depth))
-    posed.add_pair(TOP, OTHER, roles="given", partners="mortar", name="foot")
+    posed.add_pair(TOP, OTHER, roles="given", partners=Mortar(), name="foot")
     answer = posed.solve()
     sunk = 0.0
     own = posed.places[:, : posed.owned]
@@ -368,7 +368,7 @@ def pressures(draw: Draw) -> Ratios:
     posed = draw.pose(frame, cell, parts, marks, method, degree=degree)
     for tag, axis in [(BASE, g - 1), (LEFT, 0), (BACK, 1)][:g]:
         posed.guide(tag, axis)
-    posed.add_pair(TOP, OTHER, name="pair", partners=draw.one_of(None, "mortar"))
+    posed.add_pair(TOP, OTHER, name="pair", partners=draw.one_of(None, Mortar()))
     level = {"now": 2.0}
     posed.add_obstacle(LOADED, lambda x: (level["now"] - x[-1], -up(g)), name="plane")
     posed.make()
@@ -404,7 +404,7 @@ def cracks(draw: Draw) -> Ratios:
     end = draw.count(begin + 3, n)
     if begin == 0 and end == n:
         end = n - 1
-    degree, partners = draw.one_of((1, None), (1, "mortar"), (2, None))
+    degree, partners = draw.one_of((1, None), (1, Mortar()), (2, None))
     law = draw.one_of(None, Tresca(1e-3), Coulomb(0.3))
     frame = draw.frame(2)
     cells = {"quadrilateral": CellType.quadrilateral, "triangle": CellType.triangle}[kind]
@@ -420,7 +420,7 @@ def cracks(draw: Draw) -> Ratios:
         meshtags(mesh, 1, np.sort(cut), np.full_like(cut, 9)),
         {},
     )
-    parts = split_interfaces(whole, [Interface(1, 1, slave_tag=TOP, master_tag=OTHER, facets=9)])
+    parts = split_interfaces(whole, [Interface((1, 1), (TOP, OTHER), facets=9)])
     ends = tag_facets(parts.mesh, {LOADED: at(1, 2.0), BASE: at(1, 0.0)})
     tags = _joined(parts.mesh, parts.facet_tags, ends)
     x = parts.mesh.geometry.x

@@ -15,6 +15,8 @@ from mesh_options import draw_mesh_case
 from outcome import FINE
 from situations import draw_situation
 
+from fenics_tfeti import Mortar
+
 RUN = Path(__file__).with_name("run.py")
 
 
@@ -113,11 +115,11 @@ def test_options_are_drawn():
     rubbing = [one for problem in problems for one in problem.friction.values()]
     assert {one.law for one in rubbing} == {"Tresca", "Coulomb"}
     assert {(pair["partners"], pair["roles"]) for pair in given} == set(
-        product((None, "mortar"), ("auto", "given"))
+        product((None, Mortar()), ("auto", "given"))
     )
     assert {problem.degree for problem in problems} == {1, 2}
     assert any(problem.slider is not None for problem in problems)
-    assert any(problem.geometry is not None for problem in problems)
+    assert any(problem.gaps is not None for problem in problems)
 
 
 @pytest.fixture(scope="module")

@@ -23,7 +23,7 @@ from fenics_tfeti.io import Interface, displacement_space, read_msh, split_inter
 from fenics_tfeti.parallel import concatenate_ranks
 
 COMM = MPI.COMM_WORLD
-THREE = [Interface(1, 2, 11, 12), Interface(1, 3, 11, 13), Interface(2, 3, 14, 15)]
+THREE = [Interface((1, 2), (11, 12)), Interface((1, 3), (11, 13)), Interface((2, 3), (14, 15))]
 
 
 def corners(tagged):
@@ -59,7 +59,7 @@ def test_split_mesh_is_that_of_one_rank(cell, interfaces):
 @pytest.mark.ranks(2, 3)
 def test_ranks_without_cells():
     two = block("triangle", lambda x: np.where(x[:, 0] > x[:, 1], 1, 2), COMM, n=1)
-    parts = split_interfaces(two, [Interface(1, 2, 5, 6)])
+    parts = split_interfaces(two, [Interface((1, 2), (5, 6))])
     assert vertices(parts) == 6
     assert [measure(parts, "ds", tag) for tag in (5, 6)] == pytest.approx([np.sqrt(2.0)] * 2)
 
@@ -69,7 +69,7 @@ def test_nodes_are_joined_alike():
     here, alone = (
         split_interfaces(
             block("triangle", halves, comm, 6, lambda x: middle(x) & (x[:, 1] < 0.6)),
-            [Interface(1, 2, 5, 6, facets=9)],
+            [Interface((1, 2), (5, 6), facets=9)],
         ).mesh
         for comm in (COMM, MPI.COMM_SELF)
     )
@@ -90,7 +90,9 @@ def test_nodes_have_the_numbers_of_one_rank():
     """Those by which a checkpoint is read on any number of ranks."""
     rows = []
     for comm in (COMM, MPI.COMM_SELF):
-        mesh = split_interfaces(block("tetrahedron", halves, comm), [Interface(1, 2, 5, 6)]).mesh
+        mesh = split_interfaces(
+            block("tetrahedron", halves, comm), [Interface((1, 2), (5, 6))]
+        ).mesh
         nodes = NodeMap(displacement_space(mesh))
         columns = np.column_stack([nodes.input_numbers, nodes.coordinates])
         whole = concatenate_ranks(comm, columns)
@@ -99,7 +101,7 @@ def test_nodes_have_the_numbers_of_one_rank():
 
 
 def test_contact_after_the_split():
-    parts = split_interfaces(block("triangle", halves, COMM), [Interface(1, 2, 5, 6)])
+    parts = split_interfaces(block("triangle", halves, COMM), [Interface((1, 2), (5, 6))])
     contact = ContactPair(parts.facet_tags, 5, 6)
     a, L, bcs = elasticity(parts, 1e-3)
     problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], options={"rtol": 1e-10})
@@ -112,7 +114,7 @@ def test_fragments_of_gmsh_on_all_ranks(tmp_path_factory):
     if COMM.rank == 0:
         bolt_in_block(path, 3, order=2)
     COMM.barrier()
-    shank = Interface("bolt", "block", "shank", "wall", facets="hole")
+    shank = Interface(("bolt", "block"), ("shank", "wall"), facets="hole")
     here, alone = (read_msh(path, comm, 3, split=[shank]) for comm in (COMM, MPI.COMM_SELF))
     assert here.names == alone.names
     assert vertices(here) == vertices(alone)
@@ -126,4 +128,4 @@ def test_fragments_of_gmsh_on_all_ranks(tmp_path_factory):
 def test_errors_are_raised_on_all_ranks():
     whole = block("triangle", halves, COMM, 8)
     with pytest.raises(InputError, match="no facets between the bodies 1 and 3|tag 3 is on no"):
-        split_interfaces(whole, [Interface(1, 3, 5, 6)])
+        split_interfaces(whole, [Interface((1, 3), (5, 6))])

@@ -34,7 +34,7 @@ def by_place(problem):
     """Return the contact's fields, in the order of places, on every rank."""
     contact = problem.results[0].gather()
     order = np.lexsort(np.round(contact.coordinates, 9).T)
-    names = ("coordinates", "gap", "normal", "normal_force", "pressure", "area", "coverage")
+    names = ("coordinates", "gap", "normal", "nodal_normal_force", "pressure", "area", "coverage")
     return {name: getattr(contact, name)[order] for name in names}
 
 
@@ -115,6 +115,6 @@ def test_rim(cell):
     assert alone["coverage"].min() < 0.1
     depths = [problem.report.contacts[0].penetration for problem in problems]
     assert 0.0 < depths[0] == pytest.approx(depths[1], rel=1e-5)
-    for name in ("coordinates", "area", "normal_force", "coverage", "pressure"):
+    for name in ("coordinates", "area", "nodal_normal_force", "coverage", "pressure"):
         scale = np.abs(alone[name]).max()
         np.testing.assert_allclose(here[name], alone[name], rtol=0.0, atol=1e-6 * scale)

@@ -47,7 +47,7 @@ def test_own_solution_is_an_equilibrium():
     scenes[0].problem.solve()
     scenes[1].problem.solve(coarse=scenes[0].problem)
     assert scenes[1].counts()[0] == 1
-    forces = [scene.problem.results[0].normal_force for scene in scenes]
+    forces = [scene.problem.results[0].nodal_normal_force for scene in scenes]
     np.testing.assert_allclose(*forces, atol=1e-6 * forces[0].max())
 
 

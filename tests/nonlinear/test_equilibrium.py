@@ -39,7 +39,7 @@ def blocks():
     bodies.fix(BASE)
     bodies.add_pair(SLIDER, TOP)
     bodies.add_obstacle(ENDS, Plane((0.0, 2.3), (0.0, -1.0)))
-    bodies.add_obstacle(BASE, Plane((0.0, 0.0), (0.0, 1.0)), body=RigidBody((0.0, 0.0)))
+    bodies.add_obstacle(BASE, Plane((0.0, 0.0), (0.0, 1.0)), rigid_body=RigidBody((0.0, 0.0)))
     problem = finite_strains.Scene.of(bodies, u, neo_hookean(1.0, 0.3)(u) * ufl.dx, print).problem
     conditions, origin = problem._torn.undeformed, problem._accepted.origin
     return problem, DeformedRows.of(conditions, u, origin)

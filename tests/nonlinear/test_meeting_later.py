@@ -21,7 +21,7 @@ from dolfinx import fem
 
 from fenics_tfeti import (
     Coulomb,
-    Exact,
+    Deformed,
     InputError,
     NonlinearContactProblem,
     Plane,
@@ -141,7 +141,7 @@ def forces_after_moving(dim, is_away, obstacle, degree):
         scene.add_obstacle(SLAVE, floor_that_ends(dim), name="joint")
     else:
         scene.add_pair(roles="given", name="joint")
-    problem = scene.problem(geometry=Exact(1e-8))
+    problem = scene.problem(gaps=Deformed(1e-8))
     held.interpolate(bodies.place(False, 0.01, 0.0), scene.cell_tags.find(1))
     held.x.scatter_forward()
     with warnings.catch_warnings():
@@ -178,7 +178,7 @@ def test_linear_problems_need_surfaces_that_are_opposite_each_other(is_exact):
     scene.add_pair(roles="given", name="joint")
     if is_exact:
         scene.fix(CLAMPED)
-        assert scene.problem(geometry=Exact()).solve().x.array.max(initial=0.0) == 0.0
+        assert scene.problem(gaps=Deformed()).solve().x.array.max(initial=0.0) == 0.0
     else:
         with pytest.raises(InputError, match="^joint: no facet of the slave has a facet"):
             scene.problem()

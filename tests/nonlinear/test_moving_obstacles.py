@@ -15,7 +15,7 @@ from dolfinx.fem.petsc import assemble_vector
 from fenics_tfeti import (
     ContactProblem,
     Coulomb,
-    Exact,
+    Deformed,
     NonlinearContactProblem,
     Plane,
     RigidBody,
@@ -32,7 +32,7 @@ def posed(scene, is_exact, **options):
     """Return a problem of rubber, or a linear one with exact non-penetration."""
     if is_exact:
         a = ufl.inner(isotropic(1e3, 0.3)(scene.u), ufl.grad(scene.v)) * ufl.dx
-        problem = {"geometry": Exact(tolerance=1e-9), "options": {"rtol": 1e-11, **options}}
+        problem = {"gaps": Deformed(tolerance=1e-9), "options": {"rtol": 1e-11, **options}}
         return ContactProblem(a, 0, bcs=scene.bcs, contacts=scene.contacts, **problem)
     u = fem.Function(scene.V)
     F = ufl.derivative(neo_hookean(1e3, 0.3)(u) * ufl.dx, u, scene.v)
@@ -95,13 +95,13 @@ def plate_on_blocks(is_cells, travel, weight):
     if is_cells:
         # of a uniform weight, whose resultant is at the reference point
         scene.L = ufl.inner(fem.Constant(scene.mesh, (0.0, -weight / 3.5)), scene.v) * scene.dx(3)
-        more = {"rigid": {3: plate}, "cell_tags": scene.cell_tags}
+        more = {"rigid_bodies": {3: plate}, "cell_tags": scene.cell_tags}
         for k in range(2):
             scene.add_pair(11 + k, 13)
     else:
         flat = Plane((0, 1), (0, -1))
         for k in range(2):
-            scene.add_obstacle(11 + k, flat, body=plate)
+            scene.add_obstacle(11 + k, flat, rigid_body=plate)
         more = {"cell_tags": None}
     a = ufl.inner(isotropic(1e7, 0.3)(scene.u), ufl.grad(scene.v)) * scene.dx
     return ContactProblem(
@@ -109,7 +109,7 @@ def plate_on_blocks(is_cells, travel, weight):
         scene.L,
         bcs=scene.bcs,
         contacts=scene.contacts,
-        geometry=Exact(tolerance=1e-7),
+        gaps=Deformed(tolerance=1e-7),
         options={"rtol": 1e-10},
         **more,
     )
@@ -125,7 +125,7 @@ def test_arms_of_a_plate_that_travels(is_cells, travel, weight):
     sums = np.zeros(2)
     for result in problem.results:
         arm = result.coordinates[:, 0] + u[result.dofs, 0] - 2.5 - travel
-        sums += [result.normal_force.sum(), result.normal_force @ arm]
+        sums += [result.nodal_normal_force.sum(), result.nodal_normal_force @ arm]
     force, moment = COMM.allreduce(sums)
     assert force == pytest.approx(weight, rel=1e-6)
     assert abs(moment) < 1e-5 * weight
@@ -143,15 +143,15 @@ def test_friction_carries_a_body_along():
     scene.fix(GROUND, 0, 0.02)
     scene.fix(GROUND, 1, 0.02)
     plate = RigidBody((0.5, 1.0), spring=np.full(3, 1e6), name="plate")
-    scene.add_obstacle(11, Plane((0, 1), (0, -1)), body=plate, friction=Coulomb(0.9))
+    scene.add_obstacle(11, Plane((0, 1), (0, -1)), rigid_body=plate, friction=Coulomb(0.9))
     a = ufl.inner(isotropic(1e7, 0.3)(scene.u), ufl.grad(scene.v)) * scene.dx
-    given = {"bcs": scene.bcs, "contacts": scene.contacts, "geometry": Exact(tolerance=1e-6)}
+    given = {"bcs": scene.bcs, "contacts": scene.contacts, "gaps": Deformed(tolerance=1e-6)}
     problem = ContactProblem(a, scene.L, **given)
     u = problem.solve().x.array.reshape(-1, 2)
     way = problem.rigid_bodies[0].translation[0]
     assert way > 0.01
     friction, dofs = problem.results[0].friction, problem.results[0].dofs
-    stuck = friction.sticking & (problem.results[0].normal_force > 0.0)
+    stuck = friction.sticking & (problem.results[0].nodal_normal_force > 0.0)
     np.testing.assert_allclose(u[dofs[stuck], 0], way, rtol=1e-3)
     assert COMM.allreduce(int(stuck.sum())) >= 2
 
@@ -180,8 +180,8 @@ def test_forces_are_those_of_the_last_state(dim, mu):
     problem = posed(scene, False, newton_rtol=1e-6, subdomain_size=60)
     problem.solve()
     ball = problem.results["ball"]
-    largest = COMM.allreduce(ball.normal_force.max(initial=0.0), MPI.MAX)
-    excess = np.linalg.norm(ball.friction.force, axis=1) - mu * ball.normal_force
+    largest = COMM.allreduce(ball.nodal_normal_force.max(initial=0.0), MPI.MAX)
+    excess = np.linalg.norm(ball.friction.force, axis=1) - mu * ball.nodal_normal_force
     sticks = ball.friction.sticking
     broken = np.where(sticks, np.maximum(excess, 0.0), np.abs(excess))
     assert COMM.allreduce(broken.max(initial=0.0), MPI.MAX) < 1e-5 * largest
@@ -193,7 +193,7 @@ def test_forces_are_those_of_the_last_state(dim, mu):
     vector.ghostUpdate(addv=PETSc.InsertMode.ADD, mode=PETSc.ScatterMode.REVERSE)
     internal = vector.array.reshape(-1, dim)
     contact = np.zeros_like(internal)
-    contact[ball.dofs] = ball.friction.force - ball.normal_force[:, None] * ball.normal
+    contact[ball.dofs] = ball.friction.force - ball.nodal_normal_force[:, None] * ball.normal
     rest = internal - contact
     x = scene.V.tabulate_dof_coordinates()[: len(internal), dim - 1]
     held = np.isclose(x, 1.0)

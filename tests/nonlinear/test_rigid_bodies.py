@@ -197,7 +197,7 @@ def test_cells_of_the_mesh():
             bcs=scene.bcs,
             contacts=[ContactPair(scene.facet_tags, SLAVE, MASTER, friction=Coulomb(0.5))],
             cell_tags=scene.cell_tags,
-            rigid=rigid,
+            rigid_bodies=rigid,
             options={"newton_rtol": 1e-7},
         )
         problem.solve()

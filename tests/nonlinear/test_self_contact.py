@@ -13,6 +13,7 @@ from dolfinx.mesh import meshtags
 from fenics_tfeti import (
     ContactPair,
     Coulomb,
+    Mortar,
     NonlinearContactProblem,
     Plane,
     RigidObstacle,
@@ -159,7 +160,7 @@ def test_two_folds_at_once():
     def by_hand(mesh):
         for pair in patches.pairs:
             tags = meshtags(mesh, 1, pair.facet_tags.indices, pair.facet_tags.values)
-            yield ContactPair(tags, 1, 2, partial=True, partners="mortar", roles="given")
+            yield ContactPair(tags, 1, 2, partial=True, partners=Mortar(), roles="given")
 
     expected, tagged = folded_sheets(by_hand)
     assert all(result.active.any() for result in tagged.results)

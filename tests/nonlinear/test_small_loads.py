@@ -6,7 +6,7 @@ from finite_strains import indented_block, ironing
 
 import ufl
 
-from fenics_tfeti import ContactProblem, Coulomb, Exact
+from fenics_tfeti import ContactProblem, Coulomb, Deformed
 from fenics_tfeti.models import isotropic, small_strain
 
 DEPTH = 1e-5
@@ -21,7 +21,7 @@ def linear(problem):
         0.0,
         bcs=problem.bcs,
         contacts=problem.contacts,
-        geometry=Exact(tolerance=1e-7),
+        gaps=Deformed(tolerance=1e-7),
         options={"rtol": 1e-8},
     )
     same.solve()

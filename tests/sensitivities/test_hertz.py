@@ -61,7 +61,7 @@ def pressed(kind, approach=None):
 def test_stiffness_of_a_ball():
     """dF/dd = 2 E* a."""
     problem, _ = pressed("ball", approach=HALF_WIDTH**2 / R)
-    force = problem.results["joint"].normal_force.sum()
+    force = problem.results["joint"].nodal_normal_force.sum()
     radius = (3 * force * R / (4 * STIFFNESS)) ** (1 / 3)
     stiffness = problem.adjoint(forces={"joint": (0.0, 1.0)}).by_obstacle("joint")[1]
     assert stiffness == pytest.approx(2 * STIFFNESS * radius, rel=FACET / HALF_WIDTH)

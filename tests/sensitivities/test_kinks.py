@@ -33,18 +33,18 @@ def test_derivative_of_one_side(cell, sign):
     nodes = problem.results[0].nodes.size
     tangent = problem.tangent({top: sign}, one_sided=True, rtol=1e-12)
     assert tangent.kinks == {problem.report.contacts[0].name: (nodes, 0)}
-    u, force = tangent.u.x.array.copy(), tangent.normal_force(0)
+    u, force = tangent.u.x.array.copy(), tangent.nodal_normal_force(0)
     top.value = 1e-3 * sign
     exact = problem.solve().x.array / 1e-3
     assert u == pytest.approx(exact, abs=1e-6 * np.abs(exact).max())
     scale = max(np.abs(force).max(), 1.0)
-    assert force == pytest.approx(problem.results[0].normal_force / 1e-3, abs=1e-6 * scale)
+    assert force == pytest.approx(problem.results[0].nodal_normal_force / 1e-3, abs=1e-6 * scale)
 
 
 def test_by_default_nodes_that_touch_open():
     scene, problem, top = touching_block("triangle")
     tangent = problem.tangent({top: -1.0}, rtol=1e-12)
-    assert not tangent.normal_force(0).any()
+    assert not tangent.nodal_normal_force(0).any()
 
 
 def test_one_sided_with_sites_that_slip():

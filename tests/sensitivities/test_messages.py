@@ -12,7 +12,7 @@ from sensitivity_scenes import blocks
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, Exact, InputError, UnresistedMotion
+from fenics_tfeti import Coulomb, Deformed, InputError, UnresistedMotion
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,9 @@ def test_solutions_of_other_data():
 
 
 def test_exact_gaps():
-    made = blocks(n=3, m=3, geometry=Exact())
+    made = blocks(n=3, m=3, gaps=Deformed())
     made.solve()
-    assert "geometry=Exact()" in message(lambda: made.problem.adjoint(made.J))
+    assert "gaps=Deformed()" in message(lambda: made.problem.adjoint(made.J))
 
 
 def test_motion_that_nothing_resists():

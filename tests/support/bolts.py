@@ -128,7 +128,7 @@ def tapped_plate() -> dict[str, Any]:
     facets, first = np.unique(np.append(tags.indices, cut), return_index=True)
     values = np.append(tags.values, np.full(cut.size, 4, dtype=np.int32))[first]
     whole = TaggedMesh(domain, cell_tags, meshtags(domain, 2, facets, values), names)
-    interface = Interface("bolt", "bolt", "below", "above", facets="cut")
+    interface = Interface(("bolt", "bolt"), ("below", "above"), facets="cut")
     parts = split_interfaces(whole, [interface])
     scene = Scene.of(parts)
     scene.fix(names["bottom"])

@@ -16,7 +16,7 @@ from scenes import Scene, integral
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactProblem, ContactResult
+from fenics_tfeti import ContactProblem, ContactResult, Mortar
 from fenics_tfeti.io import read_msh
 
 # [N], [mm], of the pin [mm], [MPa]
@@ -105,7 +105,7 @@ def plane_joint(size: float, degree: int, exchange: bool = False, **of_pair: Any
     slave, master = names["lug surface"], names["pin surface"]
     if exchange:
         slave, master = master, slave
-    scene.add_pair(slave, master, partners="mortar", roles="given", **of_pair)
+    scene.add_pair(slave, master, partners=Mortar(), roles="given", **of_pair)
     return scene.problem(cell_tags=None)
 
 

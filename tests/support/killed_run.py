@@ -19,10 +19,10 @@ from mpi4py import MPI
 import numpy as np
 from scenes import CLAMPED, SLAVE, Scene, at
 
-from fenics_tfeti import ContactProblem, Exact, Sphere
+from fenics_tfeti import ContactProblem, Deformed, Sphere
 from fenics_tfeti.io import Box, boxes, tag_facets
 
-GEOMETRY = Exact(tolerance=1e-8)
+GAPS = Deformed(tolerance=1e-8)
 HEIGHTS = [-1.02, -1.01, -1.0]
 
 
@@ -44,9 +44,7 @@ def block(comm, divisions: int = 12):
     return boxes(comm, [Box((0, 0), (1, 0.5), (divisions, divisions // 2))], "quadrilateral").mesh
 
 
-def block_on_disc(
-    mesh, disc, held: int = 2, friction=None, geometry=GEOMETRY, **options
-) -> ContactProblem:
+def block_on_disc(mesh, disc, held: int = 2, friction=None, gaps=GAPS, **options) -> ContactProblem:
     """Return a block over a disc; components of its upper face are held, shifted by 0.05 m."""
     tags = tag_facets(mesh, [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))])
     scene = Scene(mesh, tags, young=1e6)
@@ -54,7 +52,7 @@ def block_on_disc(
         scene.fix(CLAMPED, axis, (0.05, -0.02)[axis])
     scene.add_obstacle(SLAVE, disc, friction=friction)
     options = {"rtol": 1e-9, "subdomain_size": 60, **options}
-    return scene.problem(geometry=geometry, options=options)
+    return scene.problem(gaps=gaps, options=options)
 
 
 def run(mesh, checkpoint: Path, dies_in: tuple[int, int] | None = None):

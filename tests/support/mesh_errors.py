@@ -237,7 +237,7 @@ def cells_at(mesh: Any, points: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def cells_of(problem: ContactProblem) -> MeshErrorProblem:
     """Return the problems of all cells of a solution."""
-    solved, is_exact = problem._solved, problem.geometry is not None
+    solved, is_exact = problem._solved, problem.gaps is not None
     assert solved is not None
     return MeshErrorProblem(problem._torn, solved, problem._solution.torn_displacements, is_exact)
 

@@ -19,7 +19,7 @@ from scenes import POISSON, YOUNG, Scene, at
 import ufl
 from dolfinx.fem import Function
 
-from fenics_tfeti import ContactProblem
+from fenics_tfeti import ContactProblem, Mortar
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.geometry.facets import shape_functions
@@ -138,7 +138,7 @@ def solved(
         scene.add_load(tag, -PRESSURE * uncovered_part(scene, tag, other))
     for axis in range(d):
         scene.fix(SUPPORTED[axis], axis)
-    scene.add_pair(slave, LOWER + UPPER - slave, partners="mortar", roles="given")
+    scene.add_pair(slave, LOWER + UPPER - slave, partners=Mortar(), roles="given")
     problem = scene.problem(options={"rtol": 1e-12, "subdomain_size": 150, **options})
     uh = problem.solve().x.array.reshape(-1, d)
     x = scene.V.tabulate_dof_coordinates()[:, :d]
@@ -170,15 +170,15 @@ def uneven_scene(
     return scene
 
 
-def uneven_problem(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
+def uneven_problem(blocks: Blocks, *of_scene: Any, gaps: Any = None) -> ContactProblem:
     """Pose the problem of `uneven_scene`."""
     options = {"rtol": 1e-10, "subdomain_size": 150}
-    return uneven_scene(blocks, *of_scene).problem(geometry=geometry, options=options)
+    return uneven_scene(blocks, *of_scene).problem(gaps=gaps, options=options)
 
 
-def uneven(blocks: Blocks, *of_scene: Any, geometry: Any = None) -> ContactProblem:
+def uneven(blocks: Blocks, *of_scene: Any, gaps: Any = None) -> ContactProblem:
     """Solve the problem of `uneven_scene`."""
-    problem = uneven_problem(blocks, *of_scene, geometry=geometry)
+    problem = uneven_problem(blocks, *of_scene, gaps=gaps)
     problem.solve()
     return problem
 

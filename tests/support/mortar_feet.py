@@ -8,7 +8,7 @@ from mpi4py import MPI
 
 from scenes import Scene, at, dimension
 
-from fenics_tfeti import ContactProblem
+from fenics_tfeti import ContactProblem, Mortar
 
 PRESSURE, LOW, WIDTH = 1e6, 0.2, 0.6
 LOADED, CLAMPED, TABLE, FOOT = 1, 2, 10, 11
@@ -38,7 +38,7 @@ def foot_on_table(
     scene = Scene.of_boxes(comm, cell, parts, marks)
     scene.L = -scene.constant(PRESSURE) * scene.v[across] * scene.ds(LOADED)
     scene.fix(CLAMPED)
-    scene.add_pair(slave, TABLE + FOOT - slave, partners="mortar", **of_pair)
+    scene.add_pair(slave, TABLE + FOOT - slave, partners=Mortar(), **of_pair)
     problem = scene.problem(options={"rtol": 1e-8})
     problem.solve()
     return problem

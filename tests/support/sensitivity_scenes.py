@@ -72,20 +72,20 @@ class Sensitive:
 
     def value(self) -> float:
         """Solve, and return J with half of the squares of the normal forces."""
-        force = self.solve().normal_force
+        force = self.solve().nodal_normal_force
         comm = self.scene.mesh.comm
         squares = comm.allreduce(0.5 * float(force @ force))
         return comm.allreduce(fem.assemble_scalar(fem.form(self.J))) + squares
 
     def adjoint(self) -> Any:
         """Return the adjoint of `value` at the last solution."""
-        force = self.problem.results[0].normal_force
+        force = self.problem.results[0].nodal_normal_force
         return self.problem.adjoint(self.J, normal_forces={0: force}, rtol=RTOL)
 
     def change(self, tangent: Any) -> float:
         """Return what the value changes by along a tangent."""
-        comm, force = self.scene.mesh.comm, self.problem.results[0].normal_force
-        of_forces = comm.allreduce(float(force @ tangent.normal_force(0)))
+        comm, force = self.scene.mesh.comm, self.problem.results[0].nodal_normal_force
+        of_forces = comm.allreduce(float(force @ tangent.nodal_normal_force(0)))
         along = ufl.derivative(self.J, self.problem.u, tangent.u)
         return comm.allreduce(fem.assemble_scalar(fem.form(along))) + of_forces
 
@@ -356,7 +356,7 @@ def block_on_roller(
     scene = Scene.of_boxes(comm, cell, [box], marks)
     scene.cell_tags = None
     ball = Sphere([*[0.45] * up, -2.0], 2.0)
-    scene.add_obstacle(GROUND, ball, name="joint", friction=friction, body=body)
+    scene.add_obstacle(GROUND, ball, name="joint", friction=friction, rigid_body=body)
     return sensitive(scene, scene.contacts, moves_aside=friction is not None, clamped=LOADED)
 
 
@@ -432,9 +432,11 @@ def of_motion(sensitive: Sensitive, step: float) -> Parameter:
     contact, along = sensitive.joint, np.array([0.3, 1.0, 0.5])
 
     def changed(s: float) -> Any:
-        body = contact.body
+        body = contact.rigid_body
         motion = np.append(body.translation, body.rotation) + s * along
-        return replace(contact, body=replace(body, translation=motion[:2], rotation=motion[2]))
+        return replace(
+            contact, rigid_body=replace(body, translation=motion[:2], rotation=motion[2])
+        )
 
     def slope(adjoint: Any) -> float:
         return float(adjoint.by_motion(0) @ along)

@@ -146,7 +146,7 @@ CHANGES = [
 
 
 def two_blocks(
-    slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0, geometry=None
+    slide, options, n=12, comm=MPI.COMM_SELF, upper=None, height=0.3, start=0.0, gaps=None
 ):
     """An upper block on the parabolic bump of a lower one, its top moved sideways and down.
 
@@ -170,4 +170,4 @@ def two_blocks(
     scene.fix(CLAMPED, 1, -0.005)
     scene.fix(GROUND)
     scene.add_pair(partial=True)
-    return scene.problem(cell_tags=None, geometry=geometry, options=options)
+    return scene.problem(cell_tags=None, gaps=gaps, options=options)

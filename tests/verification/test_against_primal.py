@@ -108,15 +108,15 @@ def assert_contacts(scene, problem, alone, serial, reference):
             np.testing.assert_allclose(getattr(found, name), values, atol=1e-12, err_msg=name)
         pressure = one.pressure[np.argsort(one.nodes)]
         for name, values, scale in (
-            ("normal_force", expected.forces, largest),
+            ("nodal_normal_force", expected.forces, largest),
             ("pressure", pressure, pressure.max() + 1e-3),
         ):
             np.testing.assert_allclose(
                 getattr(found, name), values[rows], rtol=0.0, atol=1e-5 * scale, err_msg=name
             )
-        np.testing.assert_array_equal(found.active, found.normal_force > 0.0)
+        np.testing.assert_array_equal(found.active, found.nodal_normal_force > 0.0)
     exact = scene.total_forces or [contact.forces.sum() for contact in reference.contacts]
-    summed = [COMM.allreduce(contact.normal_force.sum()) for contact in problem.results]
+    summed = [COMM.allreduce(contact.nodal_normal_force.sum()) for contact in problem.results]
     for name, total in (("report", normal_forces(problem)), ("sum over nodes", summed)):
         np.testing.assert_allclose(total, exact, rtol=1e-6, atol=1e-3, err_msg=name)
 

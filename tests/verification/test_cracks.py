@@ -14,6 +14,7 @@ from fenics_tfeti import (
     ContactPair,
     ContactProblem,
     Coulomb,
+    Mortar,
     Plane,
     RigidObstacle,
     SelfContact,
@@ -60,7 +61,7 @@ def cracked_block(gdim, comm=MPI.COMM_WORLD, divisions=2 * N, half=0.5):
         meshtags(mesh, gdim - 1, on_crack, np.full_like(on_crack, CRACK)),
         {},
     )
-    return split_interfaces(whole, [Interface(1, 1, slave_tag=LOW, master_tag=UP, facets=CRACK)])
+    return split_interfaces(whole, [Interface((1, 1), (LOW, UP), facets=CRACK)])
 
 
 def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
@@ -76,7 +77,7 @@ def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
 @pytest.mark.ranks
 @pytest.mark.parametrize(
     ("degree", "partners"),
-    [(1, None), (1, "mortar"), (2, None)],
+    [(1, None), (1, Mortar()), (2, None)],
     ids=["nodes", "mortar", "degree 2"],
 )
 @pytest.mark.parametrize("gdim", [2, 3])
@@ -110,7 +111,7 @@ def test_uniform_pressure(gdim, degree, partners):
     assert entry.force_on_master[-1] == pytest.approx(entry.normal_force, rel=1e-6)
 
 
-@pytest.mark.parametrize(("degree", "partners"), [(1, None), (1, "mortar"), (2, None)])
+@pytest.mark.parametrize(("degree", "partners"), [(1, None), (1, Mortar()), (2, None)])
 def test_a_displacement_that_closes_an_open_crack_fulfils_the_conditions(degree, partners):
     """The gap is zero at the tip, whose share the conditions beside it have."""
     V, pair = cracked(2, degree, partners, MPI.COMM_SELF)

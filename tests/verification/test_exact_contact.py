@@ -9,15 +9,15 @@ import pytest
 from scenes import CLAMPED, SLAVE, Scene, at, fixed, normal_forces, plane
 from stepped_blocks import two_blocks
 
-from fenics_tfeti import Exact, NotConverged, Sphere
+from fenics_tfeti import Deformed, NotConverged, Sphere
 
 COMM = MPI.COMM_WORLD
 
 pytestmark = pytest.mark.once
 
 YOUNG = 1e6
-GEOMETRY = Exact(tolerance=1e-7)
-SLIDING = Exact(tolerance=1e-4, max_passes=40)
+GAPS = Deformed(tolerance=1e-7)
+SLIDING = Deformed(tolerance=1e-4, max_passes=40)
 OPTIONS = {"rtol": 1e-8}
 BUMP = Sphere(centre=(0.75, -1.0, 0.0), radius=1.0)
 
@@ -31,13 +31,13 @@ class MovingDisc:
         return Sphere(self.centre, BUMP.radius)(x)
 
 
-def block_over_bump(moves=(0.25, -0.03), n=16, obstacle=BUMP, geometry=GEOMETRY):
+def block_over_bump(moves=(0.25, -0.03), n=16, obstacle=BUMP, gaps=GAPS):
     """A block whose top is moved sideways and down, over a rigid disc."""
     parts, marks = [((0, 0), (1, 0.5), (n, n // 2))], [(CLAMPED, at(1, 0.5)), (SLAVE, at(1, 0.0))]
     scene = Scene.of_boxes(MPI.COMM_SELF, "quadrilateral", parts, marks, young=YOUNG)
     scene.fix(CLAMPED, None, np.array(moves))
     scene.add_obstacle(SLAVE, obstacle)
-    return scene.problem(geometry=geometry, options=OPTIONS)
+    return scene.problem(gaps=gaps, options=OPTIONS)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_deformed_nodes_are_on_the_obstacle_where_they_press(over_bump):
 
 def test_linearised_conditions_leave_an_error():
     """Otherwise the test above would show nothing."""
-    problem = block_over_bump(geometry=None)
+    problem = block_over_bump(gaps=None)
     distance = distance_to_bump(problem, problem.solve())
     assert np.abs(distance[problem.results[0].active]).max() > 1e-3
 
@@ -76,7 +76,7 @@ def test_forces_are_along_the_deformed_normals(over_bump):
     inward = np.array(BUMP.centre[:2]) - x
     inward /= np.linalg.norm(inward, axis=1)[:, None]
     angle = np.linalg.norm(contact.normal - inward, axis=1)
-    tilt = np.sqrt(np.average(angle**2, weights=contact.normal_force))
+    tilt = np.sqrt(np.average(angle**2, weights=contact.nodal_normal_force))
     first, last = problem.report.passes[0], problem.report.passes[-1]
     assert tilt == pytest.approx(last.tilt, rel=1e-6, abs=1e-14)
     assert last.tilt <= 1e-7 and first.tilt > 1e-2
@@ -98,7 +98,7 @@ def test_seconds_of_each_pass_and_of_all():
 def test_passes_converge_and_reuse_what_stays(over_bump):
     problem, _ = over_bump
     passes = problem.report.passes
-    assert passes[-1].error <= GEOMETRY.tolerance
+    assert passes[-1].error <= GAPS.tolerance
     assert 2 <= len(passes) <= 8
     assert problem.report.reused == ["factors", "multipliers"]
     assert passes[-1].products < passes[0].products
@@ -113,20 +113,20 @@ def test_flat_contact_needs_no_pass():
 
 def test_limit_of_passes():
     with pytest.raises(NotConverged, match="max_passes") as caught:
-        block_over_bump(geometry=replace(GEOMETRY, max_passes=1)).solve()
+        block_over_bump(gaps=replace(GAPS, max_passes=1)).solve()
     assert not caught.value.report.converged
 
 
 @pytest.mark.parametrize("slide", [0.01, 0.3])
 def test_bodies_that_slide(slide):
-    problem = two_blocks(slide, OPTIONS, geometry=SLIDING)
+    problem = two_blocks(slide, OPTIONS, gaps=SLIDING)
     problem.solve()
     assert problem.report.passes[-1].error <= 1e-4
 
 
 def test_sliding_on_a_plane_moves_the_force_along():
     """The gaps hardly change, but the force on the master acts at another place."""
-    slid = two_blocks(0.3, OPTIONS, upper=9, height=0.0, geometry=Exact())
+    slid = two_blocks(0.3, OPTIONS, upper=9, height=0.0, gaps=Deformed())
     there = two_blocks(0.3, OPTIONS, upper=9, height=0.0, start=0.3)
     slid.solve()
     there.solve()
@@ -137,7 +137,7 @@ def test_sliding_on_a_plane_moves_the_force_along():
 
 
 # distances are of second order in what the last pass changed along the surface
-SAME = np.sqrt(2.0 * GEOMETRY.tolerance * 0.3)
+SAME = np.sqrt(2.0 * GAPS.tolerance * 0.3)
 
 
 def moved(problem, *moves):
@@ -181,8 +181,8 @@ def test_obstacle_moved():
 def test_bodies_that_slide_on_all_ranks(slide, upper):
     """On matching meshes, and with mortars."""
     options = {**OPTIONS, "subdomain_size": 200}
-    problem = two_blocks(slide, options, comm=COMM, upper=upper, geometry=SLIDING)
-    alone = two_blocks(slide, options, comm=MPI.COMM_SELF, upper=upper, geometry=SLIDING)
+    problem = two_blocks(slide, options, comm=COMM, upper=upper, gaps=SLIDING)
+    alone = two_blocks(slide, options, comm=MPI.COMM_SELF, upper=upper, gaps=SLIDING)
     problem.solve()
     alone.solve()
     mine, theirs = problem.report.passes, alone.report.passes
@@ -198,7 +198,7 @@ def test_bodies_that_slide_on_all_ranks(slide, upper):
     found, expected = (p.results[0].gather() for p in (problem, alone))
     order, expected_order = (np.argsort(c.coordinates[:, 0]) for c in (found, expected))
     np.testing.assert_allclose(
-        found.normal_force[order],
-        expected.normal_force[expected_order],
-        atol=1e-4 * expected.normal_force.max(),
+        found.nodal_normal_force[order],
+        expected.nodal_normal_force[expected_order],
+        atol=1e-4 * expected.nodal_normal_force.max(),
     )

@@ -125,7 +125,7 @@ def test_roller_bearing(tmp_path):
         for contact in problem.results:
             x = contact.coordinates
             row = int(x[:, 2].mean() > 0.0)
-            np.add.at(of_rollers[row], bearing.roller_of(x.T), contact.normal_force)
+            np.add.at(of_rollers[row], bearing.roller_of(x.T), contact.nodal_normal_force)
         loads.append(of_rollers)
         products.append(problem.report.products["total"])
     assert len(pairs) == 32

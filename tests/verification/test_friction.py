@@ -45,7 +45,7 @@ def test_block_that_is_pushed(case):
 def assert_friction_holds_the_load(rubbing):
     contact, push = rubbing.problem.results[0], rubbing.traction.value[:-1]
     np.testing.assert_allclose(contact.friction.force.sum(axis=0)[:-1], -push, rtol=1e-8)
-    np.testing.assert_allclose(contact.normal_force.sum(), 0.1, rtol=1e-8)
+    np.testing.assert_allclose(contact.nodal_normal_force.sum(), 0.1, rtol=1e-8)
     on_slave = rubbing.problem.report.contacts[0].force
     np.testing.assert_allclose(on_slave[:-1], -push, rtol=1e-8)
 
@@ -136,7 +136,7 @@ def assert_bounds_are_those_of_the_normal_forces(coulomb):
     push = coulomb.traction.value[:-1]
     np.testing.assert_allclose(found.force.sum(axis=0)[:-1], -push, rtol=1e-8)
     size, slip = np.linalg.norm(found.force, axis=1), np.linalg.norm(found.slip, axis=1)
-    bound = 0.37 * contact.normal_force
+    bound = 0.37 * contact.nodal_normal_force
     assert 0 < np.count_nonzero(found.sticking) < found.sticking.size
     error = np.where(slip > 0.0, size - bound, np.maximum(size - bound, 0.0))
     assert np.linalg.norm(error) <= 1e-6 * np.linalg.norm(bound)
@@ -200,10 +200,10 @@ def test_bounds_that_swing(mu, angle):
     contact = problem.results[0]
     np.testing.assert_allclose(
         np.abs(contact.friction.force[:, 0]),
-        mu * contact.normal_force,
-        atol=1e-5 * mu * contact.normal_force.max(),
+        mu * contact.nodal_normal_force,
+        atol=1e-5 * mu * contact.nodal_normal_force.max(),
     )
-    assert contact.normal_force.sum() > 1e-3
+    assert contact.nodal_normal_force.sum() > 1e-3
 
 
 @pytest.mark.parametrize(("mu", "angle"), [(0.3, 1.81), (1.0, 2.19)])
@@ -212,10 +212,10 @@ def test_bounds_that_grow_until_something_sticks(mu, angle):
     problem = sheared_square(Coulomb(mu), (0.05, -0.01), fibre=angle)
     problem.solve()
     contact = problem.results[0]
-    assert contact.friction.sticking[contact.normal_force > 0.0].any()
-    force, bound = np.abs(contact.friction.force[:, 0]), mu * contact.normal_force
+    assert contact.friction.sticking[contact.nodal_normal_force > 0.0].any()
+    force, bound = np.abs(contact.friction.force[:, 0]), mu * contact.nodal_normal_force
     assert np.all(force <= bound + 1e-5 * bound.max())
-    assert contact.normal_force.sum() > 0.1
+    assert contact.nodal_normal_force.sum() > 0.1
 
 
 def test_bounds_that_do_not_contract_are_an_error():
@@ -247,7 +247,7 @@ def test_half_planes_of_cattaneo_and_mindlin():
     problem = scene.problem
     contact = problem.results[0].gather()
     a, p0 = hertz(contact)
-    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    P, Q = contact.nodal_normal_force.sum(), -contact.friction.force[:, 0].sum()
     assert 0.5 < Q / (MU * P) < 0.8
     # within one element
     x = np.abs(contact.coordinates[:, 0])
@@ -288,7 +288,7 @@ def test_ball_of_cattaneo_and_mindlin(n, limit):
     scene.traction.value[:] = 0.01, 0.0, -0.05
     scene.problem.solve()
     contact = scene.problem.results[0].gather()
-    P, Q = contact.normal_force.sum(), -contact.friction.force[:, 0].sum()
+    P, Q = contact.nodal_normal_force.sum(), -contact.friction.force[:, 0].sum()
     reaction = scene.problem.report.reactions[0].force
     np.testing.assert_allclose((reaction[0], reaction[2]), (-Q, P), rtol=1e-6)
     assert 0.5 < Q / (MU * P) < 0.8

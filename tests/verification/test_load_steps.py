@@ -36,7 +36,9 @@ def assert_same(problem, uh, other, expected):
         for name in ("nodes", "gap", "normal"):
             np.testing.assert_array_equal(getattr(mine, name), getattr(theirs, name))
         np.testing.assert_allclose(
-            mine.normal_force, theirs.normal_force, atol=1e-6 * theirs.normal_force.max()
+            mine.nodal_normal_force,
+            theirs.nodal_normal_force,
+            atol=1e-6 * theirs.nodal_normal_force.max(),
         )
     np.testing.assert_allclose(normal_forces(problem), normal_forces(other), rtol=1e-7, atol=1e-3)
     assert [c.matching for c in problem.report.contacts] == [
@@ -86,11 +88,11 @@ def test_results_of_earlier_steps_stay():
     scene = two_blocks_on_a_floor()
     problem = new_problem(scene)
     first, contact, report = problem.solve(), problem.results, problem.report
-    force = contact[0].normal_force.copy()
+    force = contact[0].nodal_normal_force.copy()
     scene.traction.value *= 2.0
     assert problem.solve() is first
     assert problem.results is not contact
-    np.testing.assert_array_equal(contact[0].normal_force, force)
+    np.testing.assert_array_equal(contact[0].nodal_normal_force, force)
     assert report.reused == []
 
 

@@ -167,13 +167,13 @@ def test_units_change_nothing(gap):
     """Products, displacements and forces are the same, and so is the certificate's meaning."""
     scene_, problem, u = in_units("m, Pa", gap)
     products = problem.report.products["total"]
-    forces = problem.results[0].normal_force / scene_.total_forces[0]
+    forces = problem.results[0].nodal_normal_force / scene_.total_forces[0]
     for units in UNITS:
         other, found, v = in_units(units, gap)
         report = found.report
         assert abs(report.products["total"] - products) <= 0.05 * products, units
         assert np.linalg.norm(v - u) <= 1e-6 * np.linalg.norm(u), units
-        relative = found.results[0].normal_force / other.total_forces[0]
+        relative = found.results[0].nodal_normal_force / other.total_forces[0]
         np.testing.assert_allclose(relative, forces, rtol=0.0, atol=1e-6, err_msg=units)
         assert relative.sum() == pytest.approx(1.0, rel=1e-6), units
         assert report.converged and report.certificate.worst <= 1e-6, units

@@ -46,7 +46,7 @@ def check_resultants(problem, width):
     on_slave = np.array(report.contacts[0].force)
     force = abs(on_slave[-1])
     contact = problem.results[0]
-    sums = contact.normal_force @ contact.normal
+    sums = contact.nodal_normal_force @ contact.normal
     np.testing.assert_allclose(-sums, on_slave, atol=1e-12 * force)
     rows = problem.system.contacts
     # each condition is in equilibrium: what it exerts on the slave it takes from the master
@@ -102,7 +102,7 @@ def test_axisymmetric(slave):
     exact = PRESSURE / YOUNG * np.array([POISSON, -1.0]) * scene.V.tabulate_dof_coordinates()[:, :2]
     assert np.abs(uh - exact).max() < 1e-10 * np.abs(exact).max()
     np.testing.assert_allclose(problem.results[0].pressure, PRESSURE, rtol=1e-8)
-    assert problem.results[0].normal_force.sum() == pytest.approx(0.5 * PRESSURE)
+    assert problem.results[0].nodal_normal_force.sum() == pytest.approx(0.5 * PRESSURE)
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def mean_around_corner(contact, low, area):
     for corner in WIDTH * np.array([[0, 0], [0, 1], [1, 0], [1, 1]]):
         distance = np.abs(x - corner)
         order = np.lexsort((distance.sum(axis=1), distance.max(axis=1).round(9)))
-        areas, forces = contact.area[order], contact.normal_force[order]
+        areas, forces = contact.area[order], contact.nodal_normal_force[order]
         means.append(np.interp(area, np.cumsum(areas), np.cumsum(forces)) / area)
     return max(means)
 

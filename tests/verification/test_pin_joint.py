@@ -56,7 +56,7 @@ def test_motions_and_pressure(solved):
         assert "rotation about the axis" in motion and "which close 'pin in " in motion
         assert f"weak motion  {motion}" in str(report)
     for contact in solved[1].results:
-        along = contact.normal_force @ contact.normal[:, 0]
+        along = contact.nodal_normal_force @ contact.normal[:, 0]
         assert abs(along) == pytest.approx(PULL, rel=1e-3)
 
 

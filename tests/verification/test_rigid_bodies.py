@@ -30,7 +30,7 @@ def pressed(shape, force: float, divisions: int = 16):
     young = scene.young * circumference
     scene.a = elasticity(scene.u, scene.v, young, strain=axisymmetric_strain)
     body = RigidBody((0.0, 0.0), force=(0.0, -force), translation=(0.0, None), rotation=0.0)
-    scene.add_obstacle(tags["top"], shape, body=body)
+    scene.add_obstacle(tags["top"], shape, rigid_body=body)
     problem = scene.problem(
         cell_tags=None,
         measure_weight=circumference,

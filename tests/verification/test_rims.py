@@ -12,7 +12,7 @@ from scenes import Scene, at, dimension
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, NonlinearContactProblem, UnresistedMotion
+from fenics_tfeti import Coulomb, Mortar, NonlinearContactProblem, UnresistedMotion
 from fenics_tfeti.io import read_msh
 from fenics_tfeti.models import neo_hookean
 
@@ -74,7 +74,7 @@ def test_edge_anywhere_in_a_facet(t, degree):
         places[inner, 0] -= (t if t <= 0.5 else t - 1.0) / k
         scene.L = -scene.constant(1.0) * scene.v[1] * scene.dx
         scene.fix(GROUND)
-        scene.add_pair(UPPER, LOWER, partners="mortar", roles="given")
+        scene.add_pair(UPPER, LOWER, partners=Mortar(), roles="given")
         scene.problem().solve()
 
     solve(0.5 - 0.1 / k)
@@ -104,7 +104,7 @@ def stiff_foot(cell, n, t, ratio=1e3, degree=1, apart=0.0, **of_pair):
     dofs = fem.locate_dofs_topological(scene.V, up, scene.facet_tags.find(LOADED))
     scene.bcs[-1] = fem.dirichletbc(value, dofs, scene.V)
     scene.mesh.geometry.x[scene.nodes(2), up] += apart
-    scene.add_pair(LOWER, UPPER, partners="mortar", roles="given", **of_pair)
+    scene.add_pair(LOWER, UPPER, partners=Mortar(), roles="given", **of_pair)
     problem = scene.problem(options={"rtol": 1e-9})
     return scene, problem, problem.solve(), low
 
@@ -149,7 +149,7 @@ def test_corner_inside_of_facets_does_not_sink_in(t):
     found = problem.results[0]
     pressure, middle = found.pressure, np.abs(found.coordinates[:, 0] - 0.5) < 0.1
     assert pressure.max() < 6.0 * np.median(pressure[middle])
-    assert pressure @ found.area == pytest.approx(found.normal_force.sum(), rel=1e-12)
+    assert pressure @ found.area == pytest.approx(found.nodal_normal_force.sum(), rel=1e-12)
 
 
 def test_corner_with_displacements_of_degree_2():
@@ -211,7 +211,7 @@ def test_joint_of_two_masters_anywhere_in_the_facets(cell, joint):
     for axis in range(d - 1):
         scene.fix(LOADED, axis)
     for master in (12, 13):
-        scene.add_pair(11, master, partners="mortar", roles="given")
+        scene.add_pair(11, master, partners=Mortar(), roles="given")
     problem = scene.problem(options={"rtol": 1e-11})
     u = problem.solve().x.array.reshape(-1, d)[:, d - 1]
     height = scene.V.tabulate_dof_coordinates()[:, d - 1]
@@ -219,7 +219,7 @@ def test_joint_of_two_masters_anywhere_in_the_facets(cell, joint):
     for contact in problem.results:
         np.testing.assert_allclose(contact.pressure, 1.0, rtol=1e-8)
         # also without the means
-        np.testing.assert_allclose(contact.normal_force / contact.area, 1.0, rtol=1e-7)
+        np.testing.assert_allclose(contact.nodal_normal_force / contact.area, 1.0, rtol=1e-7)
 
 
 # -- meshes of gmsh --------------------------------------------------------------------------------
@@ -292,7 +292,7 @@ def sliding(lower, upper, young, slave, approach, distance, steps=20, friction=N
     dofs = fem.locate_dofs_topological(scene.V, 1, scene.facet_tags.find(LOADED))
     bcs = [*scene.bcs, fem.dirichletbc(top, dofs, scene.V)]
     scene.add_pair(
-        slave, LOWER + UPPER - slave, partners="mortar", roles="given", friction=friction
+        slave, LOWER + UPPER - slave, partners=Mortar(), roles="given", friction=friction
     )
     energy = neo_hookean(scene.young, 0.3)(u) * ufl.dx(metadata={"quadrature_degree": 3})
     F = ufl.derivative(energy, u, scene.v)

@@ -56,7 +56,7 @@ class Loaded:
         Loads of the rollers by the outer raceway [N].
     """
 
-    def __init__(self, meshes, path, bearing, load, *stiffer, rtol=1e-4, rigid=None):
+    def __init__(self, meshes, path, bearing, load, *stiffer, rtol=1e-4, rigid_bodies=None):
         bodies = read(meshes, path, meshes.solids_of(bearing))
         names, self.bearing = bodies.names, bearing
         scene = Scene.of(bodies)
@@ -72,16 +72,16 @@ class Loaded:
         for row in rows if bearing.cage else ():
             scene.add_pair(names[f"pockets {row}"], names[f"rollers {row} side"], name=f"{row}")
         options = {"rtol": rtol, "preconditioner": "dirichlet", "deflation": "on"}
-        body_of = {names[ring]: body for ring, body in (rigid or {}).items()}
-        self.problem = scene.problem(options=options, rigid=body_of)
+        body_of = {names[ring]: body for ring, body in (rigid_bodies or {}).items()}
+        self.problem = scene.problem(options=options, rigid_bodies=body_of)
         self.problem.solve()
-        self.forces = [c.normal_force @ c.normal for c in self.problem.results]
+        self.forces = [c.nodal_normal_force @ c.normal for c in self.problem.results]
         by_outer = self.problem.results[: 2 * bearing.rows : 2]
         self.loads = np.array([self.of_rollers(c) for c in by_outer])
 
     def of_rollers(self, contact):
         force, k = (
-            contact.normal_force[:, None] * contact.normal,
+            contact.nodal_normal_force[:, None] * contact.normal,
             self.bearing.roller_of(contact.coordinates.T),
         )
         return np.linalg.norm(
@@ -120,7 +120,7 @@ def test_rigid_race(meshes, tmp_path):
     bearing, load = coarse(meshes, rows=1), np.array([0.0, -100e3, -200e3])
     body = RigidBody((0.0, 0.0, 0.0), name="race")
     stiff, rigid = (
-        Loaded(meshes, tmp_path / "a.msh", bearing, load, *stiffer, rtol=1e-7, rigid=bodies)
+        Loaded(meshes, tmp_path / "a.msh", bearing, load, *stiffer, rtol=1e-7, rigid_bodies=bodies)
         for stiffer, bodies in (((1e6, ["inner ring"]), None), ((), {"inner ring": body}))
     )
     assert rigid.loads.max() > 2.0 * rigid.loads.min()
@@ -190,11 +190,11 @@ def single_roller(meshes, path, bearing, approach):
     problem = scene.problem(cell_tags=None, options={"rtol": 1e-5})
     problem.solve()
     outer, inner = problem.results
-    assert outer.normal_force.sum() == pytest.approx(inner.normal_force.sum(), rel=1e-6)
+    assert outer.nodal_normal_force.sum() == pytest.approx(inner.nodal_normal_force.sum(), rel=1e-6)
     along = ((outer.coordinates - centre) @ axis).round(9)
     stations = np.unique(along)
     peaks = np.array([outer.pressure[along == x].max() for x in stations])
-    line = np.array([outer.normal_force[along == x].sum() for x in stations])
+    line = np.array([outer.nodal_normal_force[along == x].sum() for x in stations])
     return stations, peaks, line
 
 
@@ -222,7 +222,7 @@ def test_edge_pressure(meshes, tmp_path):
         centres, axes, _ = bearing.lines(1)
         x = ((contact.coordinates[first] - centres[0]) @ axes[0]).round(9)
         stations = np.unique(x)
-        line = np.array([contact.normal_force[first][x == place].sum() for place in stations])
+        line = np.array([contact.nodal_normal_force[first][x == place].sum() for place in stations])
         # half a mesh size belongs to the nodes at the ends
         size = np.gradient(stations)
         size[[0, -1]] *= 0.5

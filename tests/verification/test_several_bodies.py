@@ -83,4 +83,4 @@ def test_two_bodies_are_the_master_of_one(on_bar, friction):
     )
     contact = one.results[0].gather()
     assert contact.nodes.size == sum(result.gather().nodes.size for result in two.results)
-    assert np.sum(contact.normal_force) == pytest.approx(2.0 * PRESSURE, rel=1e-6)
+    assert np.sum(contact.nodal_normal_force) == pytest.approx(2.0 * PRESSURE, rel=1e-6)

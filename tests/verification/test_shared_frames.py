@@ -101,7 +101,7 @@ def test_shared_or_not(cell, change, expected):
     shared = problem()
     displacement = shared.solve().x.array
     assert shared.report.classes == expected
-    assert shared.results[0].normal_force.sum() > 0.0
+    assert shared.results[0].nodal_normal_force.sum() > 0.0
     scene.a += nothing_but_labels(scene.mesh, scene.labels) * ufl.inner(scene.u, scene.v) * ufl.dx
     other = problem()
     reference = other.solve().x.array

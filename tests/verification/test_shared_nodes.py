@@ -206,7 +206,7 @@ def plate(
     def surface(x):
         return gap(x), np.tile([[0.0], [-1.0]], (1, x.shape[1]))
 
-    return RigidObstacle(block()[1], TOP, surface, body=body, name=name)
+    return RigidObstacle(block()[1], TOP, surface, rigid_body=body, name=name)
 
 
 def stop(curvature):

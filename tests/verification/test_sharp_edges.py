@@ -9,7 +9,7 @@ from scenes import Scene, at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import ContactPair, ContactProblem, Exact, NonlinearContactProblem
+from fenics_tfeti import ContactPair, ContactProblem, Deformed, NonlinearContactProblem
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest
 from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, tag_facets
 from fenics_tfeti.models import isotropic, neo_hookean, small_strain
@@ -42,7 +42,7 @@ def solved(dim, kind, whole, grid, **of_pair):
         problem = NonlinearContactProblem(F, u, bcs=bcs, contacts=[pair])
     else:
         a = ufl.inner(isotropic(young, 0.3)(w), small_strain(v)) * ufl.dx
-        more = {"geometry": Exact()} if kind == "exact" else {}
+        more = {"gaps": Deformed()} if kind == "exact" else {}
         options = {"rtol": 1e-11}
         problem = ContactProblem(a, 0, bcs=bcs, contacts=[pair], options=options, **more)
     return problem.solve().x.array.copy(), problem.results[0]

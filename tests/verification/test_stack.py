@@ -101,7 +101,7 @@ def forces_on_blocks(scene, problem):
         add(cube, x[nodes], f[nodes])
     for found, (cubes, *_) in zip(problem.results, contacts_of_stack(), strict=True):
         for cube, sign in zip(cubes, (-1, 1), strict=False):
-            add(cube, found.coordinates, sign * found.normal_force[:, None] * found.normal)
+            add(cube, found.coordinates, sign * found.nodal_normal_force[:, None] * found.normal)
     return left.reshape(27, 6)
 
 
@@ -118,8 +118,8 @@ def assert_statics(scene, problem):
         i, j, k = cubes[0]
         if abs(found.normal[0, 2]) > 0.5:
             expected = load_of_column(i, j) + WEIGHT * (3 - k)
-            assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
-            layers[round(found.coordinates[0, 2])] += found.normal_force.sum()
+            assert found.nodal_normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
+            layers[round(found.coordinates[0, 2])] += found.nodal_normal_force.sum()
     # three faces to a column have vertical normals, and each layer carries the whole load
     expected = PRESSURE * 9 / 25 + 9 * WEIGHT * (3 - np.arange(3))
     assert layers == pytest.approx(expected, abs=1e-8 * TOTAL)
@@ -138,7 +138,7 @@ def test_stack(cell):
     for found, contact in zip(problem.results, expected.contacts, strict=True):
         order = np.argsort(found.nodes)
         np.testing.assert_allclose(
-            found.normal_force[order], contact.forces, rtol=0.0, atol=1e-7 * largest
+            found.nodal_normal_force[order], contact.forces, rtol=0.0, atol=1e-7 * largest
         )
     # some nodes lift off: otherwise the inequalities might as well be equations
     forces = np.concatenate([contact.forces for contact in expected.contacts])
@@ -157,6 +157,6 @@ def test_free_columns(cell):
         i, j, k = cubes[0]
         vertical = abs(found.normal[0, 2]) > 0.5
         expected = load_of_column(i, j) + WEIGHT * (3 - k) if vertical else 0.0
-        assert found.normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
+        assert found.nodal_normal_force.sum() == pytest.approx(expected, abs=1e-8 * TOTAL)
     assert problem.report.free_motions
     assert problem.report.certificate.penetration <= 1e-8

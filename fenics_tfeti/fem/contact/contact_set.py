@@ -90,7 +90,7 @@ class FoundContact:
     @property
     def body(self) -> RigidBody | None:
         """The rigid body that the obstacle is a surface of."""
-        return self.contact.body if isinstance(self.contact, RigidObstacle) else None
+        return self.contact.rigid_body if isinstance(self.contact, RigidObstacle) else None
 
     def placed(self, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
@@ -104,8 +104,8 @@ class FoundContact:
     def contact_at(self, bodies: RigidBodies) -> Contact:
         """Return the contact, with an obstacle on a rigid body where the body is."""
         contact = self.contact
-        if isinstance(contact, RigidObstacle) and contact.body is not None:
-            frame = bodies.frame_of(contact.body)
+        if isinstance(contact, RigidObstacle) and contact.rigid_body is not None:
+            frame = bodies.frame_of(contact.rigid_body)
             contact = replace(contact, obstacle=frame.obstacle(contact.obstacle))
         return contact
 

@@ -420,7 +420,7 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
         gap.x.array[scalar_dofs] = np.minimum(gap.x.array[scalar_dofs], contact.gap)
         opening.x.array[scalar_dofs] = np.minimum(opening.x.array[scalar_dofs], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
-        force.x.array[components] -= contact.normal_force[:, None] * contact.normal
+        force.x.array[components] -= contact.nodal_normal_force[:, None] * contact.normal
         if contact.friction is not None:
             traction.x.array[components] += contact.friction.traction
             slip.x.array[components] += contact.friction.slip

@@ -16,7 +16,7 @@ from mpi4py import MPI
 
 import numpy as np
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, check_value
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.io.tagged_mesh import (
@@ -47,26 +47,32 @@ class Interface:
 
     Attributes
     ----------
-    slave, master : int or str
-        The bodies: tags of cells, or their names. Twice the same one for a cut through it, such as
-        the shank of a bolt, along `facets` that are nearly in a plane.
-    slave_tag, master_tag : int or str
-        The tags that the two new surfaces get. For a name, a tag is chosen that is not used yet,
-        and the name is added to those of the mesh. Several interfaces may have a tag in common.
+    bodies : pair of int or str
+        The two bodies: tags of cells, or their names. Twice the same one for a cut through it, such
+        as the shank of a bolt, along `facets` that are nearly in a plane.
+    tags : pair of int or str
+        The tags that the surfaces of the first and of the second body get. For a name, a tag is
+        chosen that is not used yet, and the name is added to those of the mesh. Several interfaces
+        may have a tag in common.
     facets : int or str, optional
         Tag or name of the facets to open; those of them that are between the two bodies are. By
         default all facets between the two bodies.
 
     Examples
     --------
-    >>> Interface("bolt", "block", slave_tag="shank", master_tag="hole").facets
+    >>> Interface(("bolt", "block"), ("shank", "hole")).facets
     """
 
-    slave: int | str
-    master: int | str
-    slave_tag: int | str
-    master_tag: int | str
+    bodies: tuple[int | str, int | str]
+    tags: tuple[int | str, int | str]
     facets: int | str | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("bodies", "tags"):
+            pair = getattr(self, name)
+            valid = isinstance(pair, list | tuple) and len(pair) == 2
+            check_value(valid, f"Interface: {name}", pair, "a pair of integers or names")
+            object.__setattr__(self, name, tuple(pair))
 
 
 def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> TaggedMesh:
@@ -87,7 +93,7 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     -------
     TaggedMesh
         A new mesh, distributed anew. Each facet of an interface is there twice, on the boundary of
-        each body, with the tags `slave_tag` and `master_tag` in place of its own. All other tags
+        each body, with the `tags` of the interface in place of its own. All other tags
         and all names are kept.
 
     Raises
@@ -100,7 +106,7 @@ def split_interfaces(tagged: TaggedMesh, interfaces: Sequence[Interface]) -> Tag
     Examples
     --------
     >>> parts = read_msh("bolt_in_block.msh")  # doctest: +SKIP
-    >>> shank = Interface("bolt", "block", slave_tag=11, master_tag=12)  # doctest: +SKIP
+    >>> shank = Interface(("bolt", "block"), (11, 12))  # doctest: +SKIP
     >>> parts = split_interfaces(parts, [shank])  # doctest: +SKIP
     >>> ContactPair(parts.facet_tags, slave=11, master=12)  # doctest: +SKIP
     """
@@ -163,7 +169,7 @@ def gather_mesh(tagged: TaggedMesh) -> WholeMesh | None:
 def _label(opening: Interface) -> str:
     """Return how messages call the facets of an interface."""
     where = "" if opening.facets is None else f" with tag {opening.facets}"
-    return f"facets{where} between the bodies {opening.slave} and {opening.master}"
+    return f"facets{where} between the bodies {opening.bodies[0]} and {opening.bodies[1]}"
 
 
 def _openings(
@@ -174,7 +180,7 @@ def _openings(
         tags[tags != NO_TAG] for tags in map(np.unique, (whole.cell_tag, whole.facet_tag))
     )
     names = Names(whole.names)
-    numbers = [t for i in interfaces for t in (i.slave_tag, i.master_tag) if not isinstance(t, str)]
+    numbers = [t for i in interfaces for t in i.tags if not isinstance(t, str)]
     free = 1 + max([0, *numbers, *(int(t.max(initial=0)) for t in (cell_tags, facet_tags))])
     added: dict[str, int] = {}
 
@@ -190,17 +196,17 @@ def _openings(
 
     openings = []
     for i in interfaces:
-        slave, master = (_tag(t, names, cell_tags, "cell") for t in (i.slave, i.master))
+        first, second = (_tag(t, names, cell_tags, "cell") for t in i.bodies)
         facets = None if i.facets is None else _tag(i.facets, names, facet_tags, "facet")
-        opening = Interface(slave, master, new_tag(i.slave_tag), new_tag(i.master_tag), facets)
-        if slave == master and facets is None:
+        tags = new_tag(i.tags[0]), new_tag(i.tags[1])
+        if first == second and facets is None:
             raise InputError(
-                f"{i}: slave and master are the same body; name the facets of a plane cut, or tag "
+                f"{i}: both are the same body; name the facets of a plane cut, or tag "
                 "the cells on one side of the surface differently, then the sides can be told apart"
             )
-        if opening.slave_tag == opening.master_tag:
+        if tags[0] == tags[1]:
             raise InputError(f"{i}: the two new surfaces have the same tag")
-        openings.append(opening)
+        openings.append(Interface((first, second), tags, facets))
     return openings, {**names, **added}
 
 
@@ -220,7 +226,7 @@ def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[Interfa
     facet_tag = whole.facet_tag.ravel()[order[end - 1]]
     opened = np.full(count.size, -1, dtype=np.int64)
     for k, opening in enumerate(openings):
-        ends = np.sort([opening.slave, opening.master])
+        ends = np.sort(opening.bodies)
         selected = (low == ends[0]) & (high == ends[1]) & (count == 2)
         if opening.facets is not None:
             selected &= facet_tag == opening.facets
@@ -241,7 +247,7 @@ def _opened_facets(whole: WholeMesh, facets: Numbers, openings: Sequence[Interfa
 def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[Interface]) -> Numbers:
     """Return the tags of the facets (m, f) after the split; the new ones are on no others."""
     facet_tag = whole.facet_tag.copy()
-    new = [tag for o in openings for tag in (o.slave_tag, o.master_tag)]
+    new = [tag for o in openings for tag in o.tags]
     occupied = np.unique(facet_tag[(opened < 0) & np.isin(facet_tag, new)])
     if occupied.size:
         raise InputError(
@@ -250,11 +256,11 @@ def _new_facet_tags(whole: WholeMesh, opened: Numbers, openings: Sequence[Interf
         )
     for k, opening in enumerate(openings):
         cell, facet = np.nonzero(opened == k)
-        if opening.slave == opening.master:
-            on_slave = _on_first_side(whole, cell, facet, opening)
+        if opening.bodies[0] == opening.bodies[1]:
+            is_first = _on_first_side(whole, cell, facet, opening)
         else:
-            on_slave = whole.cell_tag[cell] == opening.slave
-        facet_tag[cell, facet] = np.where(on_slave, opening.slave_tag, opening.master_tag)
+            is_first = whole.cell_tag[cell] == opening.bodies[0]
+        facet_tag[cell, facet] = np.where(is_first, *opening.tags)
     return facet_tag
 
 

@@ -59,7 +59,7 @@ def gap_energies(
         assert isinstance(found.contact, ContactPair | RigidObstacle)
         pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.nominal_pressure, 0.0))
         corners = pressure[faces.facet_corners()]
-        on_slave = tagged(faces, found.contact.facet_tags, [found.contact.slave])
+        on_slave = tagged(faces, found.contact.facet_tags, surface_tags(found.contact)[:1])
         k, f = np.nonzero(on_slave & (corners > 0.0).any(axis=2))
         at_points = _linear(faces)[f]
         p = np.einsum("kqv,kv->kq", at_points, corners[k, f])
@@ -124,8 +124,8 @@ def _gaps_to_obstacle(
     gap, outward = gap_and_normal(surface, contact.obstacle, padded, normal.reshape(-1, d))
     if not is_exact:
         moved = u.reshape(-1, d)
-        if contact.body is not None:
-            frame = bodies.frame_of(contact.body)
+        if contact.rigid_body is not None:
+            frame = bodies.frame_of(contact.rigid_body)
             on_body = places - outward * np.where(np.isfinite(gap), gap, 0.0)[:, None]
             moved = moved - frame.displacements(frame.motion, on_body)
         gap = gap + np.sum(outward * moved, axis=1)

@@ -179,7 +179,7 @@ def test_key_in_its_way():
     def key(x):
         return np.where((np.abs(x[:, 0] - 0.5) < 0.25) & (x[:, 1] > 0.5), 1, 2)
 
-    parts = split_interfaces(block("quadrilateral", key, COMM), [Interface(1, 2, 11, 12)])
+    parts = split_interfaces(block("quadrilateral", key, COMM), [Interface((1, 2), (11, 12))])
     first, second = find_contacts(parts.mesh)
     assert second.name == f"{first.name}, side 2"
     sides, bottom = (middles(parts.mesh, pair)[0] for pair in (first, second))
@@ -204,7 +204,7 @@ def test_glued_bodies_are_told():
         COMM,
         tagged=lambda x: np.isclose(x[:, 1], 0.5) & (x[:, 0] < 0.5),
     )
-    cracked = split_interfaces(halves, [Interface(1, 2, 11, 12, facets=9)])
+    cracked = split_interfaces(halves, [Interface((1, 2), (11, 12), facets=9)])
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         assert find_contacts(cracked.mesh, cracked.cell_tags) == []

@@ -13,7 +13,14 @@ from scenes import POISSON, Scene, at, dimension
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import BoltPreload, Exact, InputError, NonlinearContactProblem, Plane, RigidBody
+from fenics_tfeti import (
+    BoltPreload,
+    Deformed,
+    InputError,
+    NonlinearContactProblem,
+    Plane,
+    RigidBody,
+)
 from fenics_tfeti.io import Box, Interface, split_interfaces
 from fenics_tfeti.models import isotropic, neo_hookean
 
@@ -189,7 +196,7 @@ def test_three_bolts():
     for bolt in bolts:
         assert problem.results[bolt.name].tension == pytest.approx(FORCE, rel=1e-9)
     joint = problem.results[0]
-    assert joint.normal_force.sum() == pytest.approx(3 * FORCE, rel=1e-8)
+    assert joint.nodal_normal_force.sum() == pytest.approx(3 * FORCE, rel=1e-8)
 
     order, first = (1, 0, 2), len(scene.contacts)
     problem.contacts[first:] = [replace(bolt, force=0.0) for bolt in bolts]
@@ -219,10 +226,10 @@ def test_rigid_body_on_a_bolted_joint():
     scene = flange()
     top = (0.0, 0.0, 1.0)
     block = RigidBody(top, force=(0.0, 0.0, -1e6), translation=(0, 0, None), rotation=0.0)
-    scene.add_obstacle(LOADED, Plane(top, (0.0, 0.0, -1.0)), body=block)
+    scene.add_obstacle(LOADED, Plane(top, (0.0, 0.0, -1.0)), rigid_body=block)
     contacts = [*scene.contacts, preload(scene, force=FORCE)]
     problem = scene.problem(
-        contacts=contacts, cell_tags=None, options=OPTIONS, geometry=Exact(tolerance=1e-4)
+        contacts=contacts, cell_tags=None, options=OPTIONS, gaps=Deformed(tolerance=1e-4)
     )
     problem.solve()
     bolt, body = problem.results[-1], problem.rigid_bodies[0]
@@ -238,7 +245,7 @@ def test_cut_that_does_not_go_through():
         return np.isclose(x[:, 0], 0.5) & (x[:, 1] < 0.5)
 
     whole = block("triangle", lambda x: np.ones(len(x), dtype=np.int64), tagged=tagged)
-    parts = split_interfaces(whole, [Interface(1, 1, 5, 6, facets=9)])
+    parts = split_interfaces(whole, [Interface((1, 1), (5, 6), facets=9)])
     scene = Scene.of(parts)
     message = r"bolt 0: slave and master share 1 nodes, the first at \(0.5, 0.5\). The cut does not"
     with pytest.raises(InputError, match=message):

@@ -11,7 +11,7 @@ from scenes import GROUND, dimension
 
 from dolfinx import fem
 
-from fenics_tfeti import Nearest, Plane, RigidObstacle, Sphere
+from fenics_tfeti import Mortar, Nearest, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 
@@ -204,7 +204,7 @@ def test_gap_of_balls_pole_to_pole(cell):
 
 
 @every_cell
-@pytest.mark.parametrize("partners", [None, "mortar"])
+@pytest.mark.parametrize("partners", [None, Mortar()])
 def test_given_normals_turn_with_the_surface(cell, partners):
     """Also about themselves, and where they are not those of the facets."""
     gdim = dimension(cell)

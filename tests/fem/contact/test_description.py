@@ -21,10 +21,11 @@ from fenics_tfeti import (
     Plane,
     Points,
     RigidObstacle,
+    SelfContact,
     TiedPair,
     Tresca,
 )
-from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name, surface_tags
 from fenics_tfeti.fem.topology import with_tag_names
 
 FLOOR = Plane((0.0, 0.0), (0.0, 1.0))
@@ -120,15 +121,27 @@ def test_expressions_of_ufl_are_no_functions_of_points(describe, what):
     assert ("f.interpolate(Expression(" in str(told.value)) == (describe in (Coulomb, Tresca))
 
 
+def named_tags():
+    """Return facet tags with names."""
+    tags = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
+    return with_tag_names(tags, {SLAVE: "foot of stamp", MASTER: "base"})
+
+
 @pytest.mark.parametrize(
-    ("slave", "message"),
+    ("describe", "tags"),
     [
-        ("foot of stamp", r'parts.names\["foot of stamp"\], .*; the names are \'base\', \'foot of'),
-        ("foot", "No surface has this name; the names are 'base', 'foot of stamp'$"),
+        (lambda tags: ContactPair(tags, "foot of stamp", "base"), [SLAVE, MASTER]),
+        (lambda tags: ContactPair(tags, SLAVE, "base"), [SLAVE, MASTER]),
+        (lambda tags: TiedPair(tags, "base", "foot of stamp"), [MASTER, SLAVE]),
+        (lambda tags: RigidObstacle(tags, "base", Plane((0, 0), (0, 1))), [MASTER]),
+        (lambda tags: SelfContact(tags, "base"), [MASTER]),
     ],
 )
-def test_name_of_a_surface_in_place_of_its_number(slave, message):
-    tags = scenes.two_beams(MPI.COMM_SELF, "triangle", 2).facet_tags
-    with_tag_names(tags, {SLAVE: "foot of stamp", MASTER: "base"})
-    with pytest.raises(InputError, match=f"the tag of the slave is {slave!r}; .*{message}"):
-        ContactPair(tags, slave, MASTER)
+def test_names_of_surfaces_become_their_tags(describe, tags):
+    assert surface_tags(describe(named_tags())) == tags
+
+
+def test_name_that_no_surface_has():
+    message = "the tag of the slave is 'foot'; .* The names are 'base', 'foot of stamp'$"
+    with pytest.raises(InputError, match=message):
+        ContactPair(named_tags(), "foot", MASTER)

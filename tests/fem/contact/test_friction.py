@@ -95,7 +95,7 @@ def steps(case, comm, law):
         friction = contact.friction
         found.append(
             {
-                "normal force": contact.normal_force[order],
+                "normal force": contact.nodal_normal_force[order],
                 "force": friction.force[order],
                 "slip": friction.slip[order],
                 "bound": friction.bound[order],

@@ -10,7 +10,7 @@ import pytest
 from matching import match_contacts
 from scenes import GROUND, at, normal_forces, pressed_block
 
-from fenics_tfeti import Cylinder, Exact, Plane, RigidObstacle, Sphere
+from fenics_tfeti import Cylinder, Deformed, Plane, RigidObstacle, Sphere
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import contact_fields, tag_facets, write_fields
@@ -237,7 +237,7 @@ def test_obstacle_that_is_nowhere():
 
 
 def test_punch_with_exact_non_penetration():
-    arguments = {"geometry": Exact(), "options": {"rtol": 1e-8}}
+    arguments = {"gaps": Deformed(), "options": {"rtol": 1e-8}}
     exact, u = pressed_on_a_punch(Plane((0, 0), (0, 1)), HALF, **arguments)
     _, uh = pressed_on_a_punch(lambda x: np.where(x[0] < 0.6, x[1], np.inf), WHOLE, **arguments)
     np.testing.assert_allclose(uh.x.array, u.x.array, atol=1e-6 * 1e-5)

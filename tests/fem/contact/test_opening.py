@@ -7,11 +7,11 @@ import pytest
 from scenes import LOADED, MASTER, SLAVE, dimension, fixed, pressed_block, two_beams
 from stepped_blocks import two_blocks
 
-from fenics_tfeti import ContactPair, Exact, Nearest
+from fenics_tfeti import ContactPair, Deformed, Mortar, Nearest
 from fenics_tfeti.io import contact_fields
 
 COMM = MPI.COMM_WORLD
-each_kind = pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])
+each_kind = pytest.mark.parametrize("partners", [Nearest(), Mortar()], ids=["nodes", "mortar"])
 
 
 @each_kind
@@ -57,8 +57,8 @@ def test_obstacle(approach):
 
 @pytest.mark.parametrize("upper", [12, 9], ids=["node_to_node", "mortar"])
 def test_exact_contact_is_closed_in_the_last_pass(upper):
-    geometry = Exact(max_passes=40)
-    problem = two_blocks(0.3, {"rtol": 1e-8}, upper=upper, geometry=geometry)
+    gaps = Deformed(max_passes=40)
+    problem = two_blocks(0.3, {"rtol": 1e-8}, upper=upper, gaps=gaps)
     scale = np.abs(problem.solve().x.array).max()
     (contact,) = problem.results
     assert contact.active.any()

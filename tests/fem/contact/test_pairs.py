@@ -10,7 +10,7 @@ from matching import match_contacts
 
 import ufl
 
-from fenics_tfeti import Along, ContactPair, InputError, find_contacts
+from fenics_tfeti import Along, ContactPair, InputError, Mortar, find_contacts
 from fenics_tfeti.fem.contact.conditions import surface_pairs as pairs_module
 from fenics_tfeti.fem.contact.conditions.checks import check_opposite
 from fenics_tfeti.fem.contact.search.contact_search import match_parts
@@ -93,7 +93,7 @@ def test_pile(cell, degree, weighted):
     """Of some joints the meshes match; one has partners of its own, and one a gap of its own."""
     space, pairs = pile(cell, degree)
     pairs[1] = replace(pairs[1], initial_gap=1e-3)
-    pairs[2] = replace(pairs[2], partners="mortar")
+    pairs[2] = replace(pairs[2], partners=Mortar())
     if degree == 1:
         pairs[3] = replace(
             pairs[3], partners=Along(np.eye(space.mesh.geometry.dim)[-1]), partial=True

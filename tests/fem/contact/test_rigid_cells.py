@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import CLAMPED, LOADED, MASTER, SLAVE, YOUNG, Scene, at
 
-from fenics_tfeti import Coulomb, Exact, Plane, RigidBody, TiedPair
+from fenics_tfeti import Coulomb, Deformed, Plane, RigidBody, TiedPair
 
 COMM = MPI.COMM_WORLD
 FORCE = 1e-3 * YOUNG
@@ -45,7 +45,7 @@ def measures(problem):
     order = np.lexsort(np.round(joint.coordinates.T, 9))
     forces = [body.force, body.moment, body.reaction, body.reaction_moment]
     friction = [] if joint.friction is None else [joint.friction.force]
-    nodal = np.column_stack([joint.normal_force, *friction])[order]
+    nodal = np.column_stack([joint.nodal_normal_force, *friction])[order]
     return np.append(body.translation, body.rotation), np.concatenate([*forces, nodal.ravel()])
 
 
@@ -65,10 +65,10 @@ def test_flat_foot_is_a_plane(gdim, held, law):
     body = foot_of(gdim, **held)
     scene = block_below((0.0, 1.0), gdim)
     scene.add_pair(friction=law, name="joint")
-    problem = scene.problem(rigid={FOOT: body}, options=PRECISE)
+    problem = scene.problem(rigid_bodies={FOOT: body}, options=PRECISE)
     problem.solve()
     alone, up = block_below(None, gdim), np.eye(gdim)[-1]
-    alone.add_obstacle(SLAVE, Plane(up, -up), friction=law, body=body, name="joint")
+    alone.add_obstacle(SLAVE, Plane(up, -up), friction=law, rigid_body=body, name="joint")
     expected = alone.problem(options=PRECISE)
     expected.solve()
     for found, wanted in zip(measures(problem), measures(expected), strict=True):
@@ -77,10 +77,10 @@ def test_flat_foot_is_a_plane(gdim, held, law):
 
 @ranks
 @pytest.mark.parametrize(
-    ("foot", "sideways", "geometry"),
-    [((0.2, 0.7), 0.1 * FORCE, None), ((0.25, 0.75), 0.0, Exact(1e-6))],
+    ("foot", "sideways", "gaps"),
+    [((0.2, 0.7), 0.1 * FORCE, None), ((0.25, 0.75), 0.0, Deformed(1e-6))],
 )
-def test_foot_is_a_stiff_body(foot, sideways, geometry):
+def test_foot_is_a_stiff_body(foot, sideways, gaps):
     """Tractions on the cells are loads of the body, and its nodes move with it.
 
     The exact one is symmetric: rigid bodies that turn move their loads, linear elastic ones do not.
@@ -91,7 +91,7 @@ def test_foot_is_a_stiff_body(foot, sideways, geometry):
         scene.add_load(LOADED, (sideways, -FORCE))
         # the rigid surface becomes the master, the much stiffer one too
         scene.add_pair(MASTER, SLAVE, friction=Coulomb(0.5))
-        problem = scene.problem(rigid=rigid, geometry=geometry, options=PRECISE)
+        problem = scene.problem(rigid_bodies=rigid, gaps=gaps, options=PRECISE)
         uh = problem.solve()
         found.append((uh.x.array.copy(), problem.results[0].gather().pressure))
     for values, stiff in zip(*found, strict=True):
@@ -103,7 +103,7 @@ def test_tied_foot_transmits_its_loads():
     scene = block_below((0.2, 0.7), 3, n=2)
     scene.contacts = [TiedPair(scene.facet_tags, slave=SLAVE, master=MASTER)]
     body = foot_of(3)
-    problem = scene.problem(rigid={FOOT: body}, options=PRECISE)
+    problem = scene.problem(rigid_bodies={FOOT: body}, options=PRECISE)
     problem.solve()
     found = problem.rigid_bodies["foot"]
     assert found.force == pytest.approx(-body.load[:3], rel=1e-8, abs=1e-8 * FORCE)
@@ -116,7 +116,7 @@ def test_loads_are_read_by_each_solve():
     scene.add_pair(name="joint")
     load = scene.add_load(LOADED, (0.0, -FORCE))
     guide = RigidBody((0.5, 1.5), translation=(0.0, None), rotation=0.0)
-    problem = scene.problem(rigid={FOOT: guide}, options=PRECISE)
+    problem = scene.problem(rigid_bodies={FOOT: guide}, options=PRECISE)
     for factor in (1.0, 2.0):
         load.value[1] = -factor * FORCE
         problem.solve()

@@ -14,7 +14,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import meshtags
 
-from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Exact
+from fenics_tfeti import ContactPair, ContactProblem, Coulomb, Deformed, Mortar
 from fenics_tfeti.fem.contact.search.roles import nodal_stiffness, roles_ratios
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.io import (
@@ -36,7 +36,7 @@ def posed(cell="triangle", upper_young=YOUNG, lower=4, upper=4, weight=None, **p
     scene = shape.scene(marks=marks, young={1: YOUNG, 2: upper_young})
     scene.fix(BOTTOM)
     scene.fix(TOP, up, -1e-3)
-    scene.add_pair(**{"slave": UPPER, "master": LOWER, "partners": "mortar", **pair})
+    scene.add_pair(**{"slave": UPPER, "master": LOWER, "partners": Mortar(), **pair})
     measure_weight = None if weight is None else weight(scene.mesh)
     return scene.problem(options={"rtol": 1e-9}, measure_weight=measure_weight)
 
@@ -86,7 +86,7 @@ def test_automatic_roles(upper_young, slave):
 
 def test_exact_passes_of_exchanged_roles():
     problem = posed(upper_young=50 * YOUNG, upper=5)
-    problem.geometry = Exact()
+    problem.gaps = Deformed()
     problem.solve()
     assert problem.report.converged
 
@@ -103,7 +103,7 @@ def test_forces_are_those_on_the_given_slave(roles):
     scale = 1e-9 * force[1]
     np.testing.assert_allclose(report.contacts[0].force_on_master, -np.array(force), atol=scale)
     assert report.contacts[0].force == force
-    at_nodes = contact.friction.force.sum(axis=0) - contact.normal_force @ contact.normal
+    at_nodes = contact.friction.force.sum(axis=0) - contact.nodal_normal_force @ contact.normal
     np.testing.assert_allclose(at_nodes, force, atol=scale)
     friction = contact.friction
     np.testing.assert_allclose(friction.traction * contact.area[:, None], friction.force)

@@ -15,6 +15,7 @@ from fenics_tfeti import (
     ContactProblem,
     Coulomb,
     InputError,
+    Mortar,
     SelfContact,
     find_contacts,
 )
@@ -170,7 +171,7 @@ def pressed(slit, contacts):
 )
 def test_lips_of_a_slit_are_those_of_two_tags(slit, contacts):
     found, problem = pressed(slit, contacts(slit[0]))
-    expected, tagged = pressed(slit, ContactPair(slit[1], 1, 2, partial=True, partners="mortar"))
+    expected, tagged = pressed(slit, ContactPair(slit[1], 1, 2, partial=True, partners=Mortar()))
     own, other = problem.results[0], tagged.results[0]
     assert 4 < own.active.sum() == other.active.sum() < own.active.size
     np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())

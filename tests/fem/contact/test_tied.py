@@ -103,10 +103,10 @@ def test_tied_block_with_a_floor():
     scene.add_obstacle(SUPPORTED[1], plane(1, 2))
     scene.fix(SUPPORTED[0], 0)
     problem, _ = solved(scene)
-    assert problem.results[0].normal_force.sum() == pytest.approx(PRESSURE)
+    assert problem.results[0].nodal_normal_force.sum() == pytest.approx(PRESSURE)
     push.value = -2.0 * PRESSURE
     problem.solve()
-    assert problem.results[0].normal_force.sum() == pytest.approx(2.0 * PRESSURE)
+    assert problem.results[0].nodal_normal_force.sum() == pytest.approx(2.0 * PRESSURE)
     assert [entry["discretisation"] for entry in [c.matching for c in problem.report.contacts]] == [
         "obstacle",
         "tied",

@@ -25,7 +25,7 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import CellType, GhostMode, create_unit_cube, locate_entities, meshtags
 
-from fenics_tfeti import ContactPair, Nearest
+from fenics_tfeti import ContactPair, Mortar, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.io import Box, boxes, contact_fields, piecewise_constant, von_mises, write_fields
 
@@ -265,7 +265,7 @@ def test_folder_that_is_a_file_is_an_error(fields, tmp_path):
         write_fields(tmp_path / "file" / "a.pvd", fields)
 
 
-@pytest.mark.parametrize("partners", [Nearest(), "mortar"], ids=["nodes", "mortar"])
+@pytest.mark.parametrize("partners", [Nearest(), Mortar()], ids=["nodes", "mortar"])
 @pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
 def test_integral_of_the_pressure_is_the_contact_force(cell, partners):
     """Of a pressure that is not uniform: the areas are those of the shape functions."""

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import scenes
 
-from fenics_tfeti import Exact, InputError
+from fenics_tfeti import Deformed, InputError
 from fenics_tfeti.fem.io.scene import gather_scene
 from fenics_tfeti.fem.io.units import units_of
 from fenics_tfeti.feti.report.report import without_nan
@@ -36,7 +36,7 @@ PHONE, DESKTOP = (390, 844), (1280, 900)
 def solved(cell: str):
     """Return a solved problem, its displacement and two fields."""
     scene = scenes.two_beams(MPI.COMM_SELF, cell, 2)
-    problem = scene.problem(geometry=Exact())
+    problem = scene.problem(gaps=Deformed())
     uh = problem.solve()
     stress = von_mises(scene.mesh, scenes.stress(uh, scenes.YOUNG), scenes.POISSON)
     return problem, uh, [contact_fields(scene.V, problem.results).pressure, stress]

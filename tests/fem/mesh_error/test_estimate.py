@@ -26,7 +26,7 @@ from scenes import CELLS, Scene, at, dimension, pressed_block, stress
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Exact, InputError, Nearest, RigidBody, TiedPair
+from fenics_tfeti import Deformed, InputError, Nearest, RigidBody, TiedPair
 
 COMM = MPI.COMM_SELF
 DEGREES = (1, 2)
@@ -240,7 +240,7 @@ def test_sums_of_cells_and_bodies_are_the_total():
 
 def test_exact_gaps_of_small_displacements_are_as_others():
     linear = error_of(roller(COMM, 8, depth=1e-5))
-    exact = error_of(roller(COMM, 8, depth=1e-5), geometry=Exact(tolerance=1e-8))
+    exact = error_of(roller(COMM, 8, depth=1e-5), gaps=Deformed(tolerance=1e-8))
     assert exact.error == pytest.approx(linear.error, rel=1e-2)
 
 
@@ -261,7 +261,7 @@ def test_rigid_body_on_springs_carries_the_obstacle():
     obstacle = scene.contacts[0].obstacle
     scene.contacts = []
     body = RigidBody((0.0, 0.05), translation=(0.0, 0.0), rotation=0.0)
-    scene.add_obstacle(FOOT, obstacle, body=body, name="roller")
+    scene.add_obstacle(FOOT, obstacle, rigid_body=body, name="roller")
     assert error_of(scene).error == pytest.approx(held.error, rel=1e-6)
 
 

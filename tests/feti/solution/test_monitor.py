@@ -32,7 +32,7 @@ def test_option_prints_a_line_for_each_step_and_the_log_has_the_same(capfd, capl
     assert capfd.readouterr() == ("", "")
     steps = []
     with caplog.at_level(logging.INFO, logger="fenics_tfeti"):
-        TornSolver(column(), Options(monitor=True, method="smalbe")).solve(steps.append)
+        TornSolver(column(), Options(print_progress=True, method="smalbe")).solve(steps.append)
     lines = capfd.readouterr().out.splitlines()
     assert lines == [describe_step(step, number) for number, step in enumerate(steps)]
     assert lines == [record.message for record in caplog.records]

@@ -6,7 +6,7 @@ from scenes import LOADED
 
 from dolfinx import fem, mesh
 
-from fenics_tfeti import Exact
+from fenics_tfeti import Deformed
 from fenics_tfeti.io import Box, boxes
 from fenics_tfeti.models import follower_pressure, isotropic
 from mistakes.catalogue import beams, posed, solved, table
@@ -53,12 +53,12 @@ MISTAKES = table(
         coarse(lambda comm: scenes.pressed_block(comm, "quadrilateral").problem()),
     ),
     ("coarse with another method", coarse(posed(), options={"method": "smalbe"})),
-    ("geometry that is a word", posed(geometry="exact")),
+    ("gaps that are a word", posed(gaps="exact")),
     (
-        "tolerance of the geometry that is negative",
-        posed(geometry=lambda s: Exact(tolerance=-1e-3)),
+        "tolerance of the gaps that is negative",
+        posed(gaps=lambda s: Deformed(tolerance=-1e-3)),
     ),
-    ("number of passes that is a fraction", posed(geometry=lambda s: Exact(max_passes=2.5))),
+    ("number of passes that is a fraction", posed(gaps=lambda s: Deformed(max_passes=2.5))),
     ("cell tags that are a list", posed(cell_tags=[1, 2])),
     ("results of a problem that is not solved", lambda comm: beams(comm).problem().results[0]),
     ("report of a problem that is not solved", lambda comm: str(beams(comm).problem().report)),

@@ -27,7 +27,7 @@ def pressed(reference=(0.5, 1.0), **of_body):
         scene.fix(GROUND)
         body = RigidBody(reference, name="plate", **of_body)
         plate = Plane((0.0, 1.0), (0.0, -1.0))
-        joint = RigidObstacle(scene.facet_tags, LOADED, plate, body=body, name="joint")
+        joint = RigidObstacle(scene.facet_tags, LOADED, plate, rigid_body=body, name="joint")
         scene.problem(contacts=[joint]).solve()
 
     return pose
@@ -37,7 +37,7 @@ def rigid_beam(tag=2, body=None, supports=1, **more):
     """Return what solves for the beams, one of which is rigid."""
     upper = RigidBody((2.0, 1.5), translation=(0.0, None), rotation=0.0)
     rigid = {tag: upper if body is None else body}
-    return solved(rigid=rigid, bcs=lambda s: s.bcs[:supports], **more)
+    return solved(rigid_bodies=rigid, bcs=lambda s: s.bcs[:supports], **more)
 
 
 def stacked(comm, upper=(2, 2), shape=None):
@@ -53,7 +53,7 @@ def stacked(comm, upper=(2, 2), shape=None):
 def contact_between_rigid_bodies(comm):
     scene = stacked(comm)
     scene.contacts = [RigidObstacle(scene.facet_tags, LOADED, Plane((0.0, 2.0), (0.0, -1.0)))]
-    scene.problem(rigid={2: RigidBody((0.5, 1.5), name="blocks")}).solve()
+    scene.problem(rigid_bodies={2: RigidBody((0.5, 1.5), name="blocks")}).solve()
 
 
 def rigid_body_that_shares_nodes(comm):
@@ -61,7 +61,7 @@ def rigid_body_that_shares_nodes(comm):
     upper = locate_entities(scene.mesh, 2, lambda x: x[1] > 1 - 1e-9)
     cells = scene.cell_tags.indices
     tags = meshtags(scene.mesh, 2, cells, np.isin(cells, upper).astype(np.int32))
-    scene.problem(cell_tags=tags, rigid={1: RigidBody((0.5, 1.5))}).solve()
+    scene.problem(cell_tags=tags, rigid_bodies={1: RigidBody((0.5, 1.5))}).solve()
 
 
 def bolted(surfaces=(SLAVE, MASTER), of_blocks=None, **of_bolt):
@@ -119,10 +119,10 @@ MISTAKES = [
         ("rigid tag on no cell", rigid_beam(tag=7)),
         ("rigid cells without cell tags", rigid_beam(cell_tags=None)),
         ("rigid body that is a number", rigid_beam(body=1e6)),
-        ("rigid bodies in a list", posed(rigid=[RigidBody((2.0, 1.5))])),
+        ("rigid bodies in a list", posed(rigid_bodies=[RigidBody((2.0, 1.5))])),
         ("rigid body by its name", rigid_beam(tag="upper")),
         ("rigid body of another dimension", rigid_beam(body=RigidBody((2.0, 1.5, 0.0)))),
-        ("rigid bodies alone", posed(rigid=BOTH)),
+        ("rigid bodies alone", posed(rigid_bodies=BOTH)),
         ("support on a rigid body", rigid_beam(supports=2)),
         ("contact between rigid bodies", contact_between_rigid_bodies),
         ("rigid body that shares nodes", rigid_body_that_shares_nodes),

@@ -4,7 +4,7 @@ import numpy as np
 import scenes
 from scenes import CLAMPED, MASTER, ROLLER, SLAVE, at
 
-from fenics_tfeti import Along, Exact, Mapped, Nearest, Points
+from fenics_tfeti import Along, Deformed, Mapped, Nearest, Points
 from mistakes.catalogue import beams, table
 
 # the slave's nodes of beams()
@@ -25,11 +25,11 @@ def two_blocks(comm, cell="quadrilateral", upper=(3, 4)):
     return scene
 
 
-def joined(scene, geometry=None, **of_pair):
+def joined(scene, gaps=None, **of_pair):
     """Solve with the contact between slave and master as described."""
     scene.contacts = []
     scene.add_pair(name="joint", **of_pair)
-    scene.problem(geometry=geometry).solve()
+    scene.problem(gaps=gaps).solve()
 
 
 def paired(partners=None, **of_pair):
@@ -54,9 +54,9 @@ def normal(value):
     return paired(normal=value)
 
 
-def mortar(geometry=None, **of_pair):
+def mortar(gaps=None, **of_pair):
     """Return what solves the blocks whose meshes do not match."""
-    return lambda comm: joined(two_blocks(comm), geometry, **of_pair)
+    return lambda comm: joined(two_blocks(comm), gaps, **of_pair)
 
 
 def direction_that_misses(comm):
@@ -152,7 +152,7 @@ MISTAKES = table(
     ("pairs of nodes for displacements of degree 2", pairs_of_degree_2),
     ("unknown initial gap", mortar(initial_gap="close")),
     ("initial gap that is NaN", mortar(initial_gap=lambda x: np.nan * x[0])),
-    ("initial gap and exact passes", mortar(initial_gap="touching", geometry=Exact())),
+    ("initial gap and exact passes", mortar(initial_gap="touching", gaps=Deformed())),
     ("surfaces beside each other", shifted(3.0)),
     ("surfaces that meet in a sliver", shifted(1.0 - 1e-4)),
     ("surface inside the other body", surface_inside_the_other_body),

@@ -24,6 +24,7 @@ from fenics_tfeti.fem.contact.descriptions.shapes import (
     Plane,
     Sphere,
 )
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.geometry.vectors import angles_between, tangential_part, unit
@@ -60,7 +61,7 @@ def match_obstacle(
     The surface of an earlier result is used again. With a deformed boundary the obstacle is
     evaluated on the surface there alone.
     """
-    tags, tag = contact.facet_tags, contact.slave
+    tags, (tag,) = contact.facet_tags, surface_tags(contact)
     slave = (
         # a contact without name is called by its number, which may be another one
         replace(earlier.surface, names=[name])

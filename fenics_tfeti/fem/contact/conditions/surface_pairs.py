@@ -29,6 +29,7 @@ from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_m
 from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
@@ -76,7 +77,7 @@ def match_pairs(
     tagged = [
         (contact.facet_tags, tag, f"{role} of {name}")
         for name, contact in pairs
-        for role, tag in (("slave", contact.slave), ("master", contact.master))
+        for role, tag in zip(("slave", "master"), surface_tags(contact), strict=True)
     ]
     is_patch = [isinstance(contact, Patch) for _, contact in pairs]
     facets = tagged_facets(boundary, tagged, np.repeat(is_patch, 2))

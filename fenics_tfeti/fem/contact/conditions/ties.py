@@ -18,7 +18,7 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 from fenics_tfeti.fem.contact.conditions.mortars import tied_conditions
 from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.conditions.surface_pairs import check_covered
-from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair
+from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, surface_tags
 from fenics_tfeti.fem.contact.descriptions.ties import (
     BoltPreload,
     LinearRows,
@@ -233,7 +233,7 @@ def _surfaces(boundary: MeshBoundary, pair: SurfacePair, name: str) -> tuple[Sur
     """Return the slave and the master of a pair. Collective."""
     slave, master = (
         tagged_surface(boundary, pair.facet_tags, tag, name, role)
-        for role, tag in (("slave", pair.slave), ("master", pair.master))
+        for role, tag in zip(("slave", "master"), surface_tags(pair), strict=True)
     )
     return slave, master
 

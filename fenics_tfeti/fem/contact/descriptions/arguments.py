@@ -15,7 +15,7 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Exact
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -70,27 +70,27 @@ def as_conditions(bcs: Any) -> list[Any]:
     return _listed(bcs, _is_condition, names, "a condition as returned by dolfinx.fem.dirichletbc")
 
 
-def as_geometry(geometry: Any) -> Exact | None:
-    """Return how the geometry of contacts is taken; None for that of the undeformed state."""
-    if geometry is None or isinstance(geometry, Exact):
-        return geometry
+def as_gaps(gaps: Any) -> Deformed | None:
+    """Return on which surfaces gaps are measured; None for the undeformed ones."""
+    if gaps is None or isinstance(gaps, Deformed):
+        return gaps
     raise InputError(
-        f"geometry is {geometry!r}; Exact() is expected, or None for the undeformed surfaces"
+        f"gaps is {gaps!r}; Deformed() is expected, or None for the undeformed surfaces"
     )
 
 
-def as_rigid(rigid: Any) -> dict[int, RigidBody]:
+def as_rigid_bodies(rigid_bodies: Any) -> dict[int, RigidBody]:
     """Return the rigid bodies by the tags of their cells: none for None."""
-    if rigid is None:
+    if rigid_bodies is None:
         return {}
-    if not isinstance(rigid, Mapping):
-        raise wrong_type("rigid", rigid, "a dict of RigidBody by tags of cells")
-    for tag, body in rigid.items():
+    if not isinstance(rigid_bodies, Mapping):
+        raise wrong_type("rigid_bodies", rigid_bodies, "a dict of RigidBody by tags of cells")
+    for tag, body in rigid_bodies.items():
         if isinstance(tag, bool) or not isinstance(tag, int | np.integer):
-            raise InputError(f"rigid: {tag!r} is no tag of cells; an integer is expected")
+            raise InputError(f"rigid_bodies: {tag!r} is no tag of cells; an integer is expected")
         if not isinstance(body, RigidBody):
-            raise wrong_type(f"rigid: the body with tag {tag}", body, "a RigidBody")
-    return {int(tag): body for tag, body in rigid.items()}
+            raise wrong_type(f"rigid_bodies: the body with tag {tag}", body, "a RigidBody")
+    return {int(tag): body for tag, body in rigid_bodies.items()}
 
 
 def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:

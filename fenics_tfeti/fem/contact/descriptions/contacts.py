@@ -7,7 +7,7 @@ from typing import Any, Literal, TypeAlias
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, check_friction
-from fenics_tfeti.fem.contact.descriptions.partners import NodePartners
+from fenics_tfeti.fem.contact.descriptions.partners import Mortar, NodePartners
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, check_tags, checked_label
@@ -36,8 +36,9 @@ class ContactPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int
-        Tag of the slave's and of the master's surface.
+    slave, master : int or str
+        Tag of the slave's and of the master's surface, or its name where `facet_tags` carry names,
+        as those of `read_msh` and `split_interfaces` do; it becomes the tag.
     name : str
         For messages and the report.
     friction : Tresca or Coulomb, optional
@@ -58,7 +59,7 @@ class ContactPair(SurfacePair):
     roles : {"auto", "given"}
         Whether `slave` and `master` are exchanged where mortar conditions are much better the other
         way round, or are as given.
-    partners : Nearest, Along, Mapped, Points or "mortar", optional
+    partners : Nearest, Along, Mapped, Points or Mortar, optional
         Whether conditions are between pairs of nodes, and how these are found, or mortar
         conditions. By default they are between nodes where the meshes match, and mortar conditions
         elsewhere.
@@ -80,7 +81,7 @@ class ContactPair(SurfacePair):
     normal: VectorField | None = None
     partial: bool = False
     roles: Literal["auto", "given"] = "auto"
-    partners: NodePartners | Literal["mortar"] | None = None
+    partners: NodePartners | Mortar | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -98,12 +99,11 @@ class ContactPair(SurfacePair):
         partial, roles, partners = self.partial, self.roles, self.partners
         check_value(isinstance(partial, bool), f"{label}: partial", partial, "True or False")
         check_value(roles in ("auto", "given"), f"{label}: roles", roles, "'auto' or 'given'")
-        is_mortar = isinstance(partners, str) and partners == "mortar"
         check_value(
-            is_mortar or partners is None or isinstance(partners, NodePartners),
+            partners is None or isinstance(partners, NodePartners | Mortar),
             f"{label}: partners",
             partners,
-            "Nearest(), Along(direction), Mapped(mapping), Points(slave, master), 'mortar' or None",
+            "Nearest(), Along(direction), Mapped(mapping), Points(slave, master), Mortar() or None",
         )
 
 
@@ -115,8 +115,8 @@ class RigidObstacle:
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave : int
-        Tag of the surface.
+    slave : int or str
+        Tag or name of the surface.
     obstacle : callable
         x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
         the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
@@ -131,9 +131,9 @@ class RigidObstacle:
         friction: slip is relative to the obstacle. A callable gets x (3, n), with exact
         non-penetration and finite strains the deformed places of the slave's nodes, and returns
         (gdim, n). By default the obstacle is at rest. Where it moves along its normal, `obstacle`
-        has to say so too. An obstacle that turns by a large angle is one on a `body` with a
+        has to say so too. An obstacle that turns by a large angle is one on a `rigid_body` with a
         prescribed rotation.
-    body : RigidBody, optional
+    rigid_body : RigidBody, optional
         The rigid body with the shape of `obstacle`, moved by its contacts and loads. By default the
         obstacle is held.
 
@@ -146,23 +146,23 @@ class RigidObstacle:
 
     default_name = "contact {} (obstacle)"
     facet_tags: Any
-    slave: int
+    slave: int | str
     obstacle: Obstacle
     _: KW_ONLY
     name: str = ""
     friction: FrictionLaw | None = None
     displacement: VectorField | None = None
-    body: RigidBody | None = None
+    rigid_body: RigidBody | None = None
 
     def __post_init__(self) -> None:
         label = checked_label(self)
         check_tags(self, label, "slave")
-        if self.body is not None and not isinstance(self.body, RigidBody):
-            raise wrong_type(f"{label}: body", self.body, "a RigidBody or None")
-        if self.body is not None and self.displacement is not None:
+        if self.rigid_body is not None and not isinstance(self.rigid_body, RigidBody):
+            raise wrong_type(f"{label}: rigid_body", self.rigid_body, "a RigidBody or None")
+        if self.rigid_body is not None and self.displacement is not None:
             raise InputError(
-                f"{label}: the obstacle has a body, which moves it: leave its displacement out. "
-                "Prescribed components are the body's translation and rotation"
+                f"{label}: the obstacle has a rigid_body, which moves it: leave its displacement "
+                "out. Prescribed components are the body's translation and rotation"
             )
         if not is_function(self.obstacle, f"{label}: the obstacle"):
             raise wrong_type(
@@ -192,8 +192,8 @@ class SelfContact:
     ----------
     facet_tags : MeshTags, optional
         Tags of facets; by default the surface is the whole boundary of the mesh.
-    surface : int, optional
-        Tag of the surface.
+    surface : int or str, optional
+        Tag or name of the surface.
     distance : float, optional
         How far apart facets may be that are looked at together [m]: surfaces should not come nearer
         by more in a load step. By default it is ten of the longest facets, and with small strains
@@ -211,7 +211,7 @@ class SelfContact:
 
     default_name = "contact {} (self)"
     facet_tags: Any = None
-    surface: int | None = None
+    surface: int | str | None = None
     _: KW_ONLY
     distance: float | None = None
     friction: FrictionLaw | None = None
@@ -245,7 +245,7 @@ Contact: TypeAlias = ContactPair | RigidObstacle | SelfContact
 
 
 @dataclass(frozen=True)
-class Exact:
+class Deformed:
     """Contact conditions that are corrected until the deformed surfaces touch.
 
     Each pass solves with the normals and gaps of the surfaces that the last one has deformed.
@@ -261,16 +261,16 @@ class Exact:
 
     Examples
     --------
-    >>> Exact(tolerance=1e-4)
-    Exact(tolerance=0.0001, max_passes=20)
+    >>> Deformed(tolerance=1e-4)
+    Deformed(tolerance=0.0001, max_passes=20)
     """
 
     tolerance: float = 1e-3
     max_passes: int = 20
 
     def __post_init__(self) -> None:
-        check_positive(self.tolerance, "Exact: the tolerance", "the largest displacement")
+        check_positive(self.tolerance, "Deformed: the tolerance", "the largest displacement")
         count = self.max_passes
         check_value(
-            is_integer(count) and count > 0, "Exact: max_passes", count, "a positive integer"
+            is_integer(count) and count > 0, "Deformed: max_passes", count, "a positive integer"
         )

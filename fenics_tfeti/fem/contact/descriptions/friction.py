@@ -25,7 +25,7 @@ class Tresca:
         Largest tangential traction [Pa]: a number, a function of the undeformed nodes x (3, n) [m]
         of the slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the
         mesh. Times the area of `ContactResult`, which is that of the deformed surface with
-        ``Exact()`` and finite strains, it becomes the largest nodal force.
+        ``Deformed()`` and finite strains, it becomes the largest nodal force.
 
     Examples
     --------

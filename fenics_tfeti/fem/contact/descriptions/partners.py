@@ -134,6 +134,16 @@ class Points:
         _check_tolerance(self)
 
 
+@dataclass(frozen=True)
+class Mortar:
+    """Mortar conditions: weighted means over facets, also where the meshes match.
+
+    Examples
+    --------
+    >>> ContactPair(facet_tags, 5, 6, partners=Mortar())  # doctest: +SKIP
+    """
+
+
 NodePartners: TypeAlias = Nearest | Along | Mapped | Points
 
 

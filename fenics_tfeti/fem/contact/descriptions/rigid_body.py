@@ -36,7 +36,7 @@ class RigidBody:
     translation, rotation : sequence, number, dolfinx.fem.Constant or None
         Prescribed components of the motion, None where it is free: ``translation=(0, 0, None)`` is
         a slide along z. A number is for all components. In 2D the rotation is a number. Angles are
-        in [rad], and small where they are not corrected by ``geometry=Exact()``. By default the
+        in [rad], and small where they are not corrected by ``gaps=Deformed()``. By default the
         body is free.
     spring : array-like, optional
         Stiffness of a support: numbers for the components of the translation [N/m], or of

@@ -20,8 +20,8 @@ class SurfacePair:
     # where both are one
     remedy = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
     facet_tags: Any
-    slave: int
-    master: int
+    slave: int | str
+    master: int | str
     _: KW_ONLY
     name: str = ""
 
@@ -81,7 +81,7 @@ def free_key(label: str, taken: Sequence[str]) -> str:
 
 
 def _label(contact: Any) -> str:
-    kind, body = type(contact).__name__, getattr(contact, "body", None)
+    kind, body = type(contact).__name__, getattr(contact, "rigid_body", None)
     if contact.name:
         return f"{kind} {contact.name!r}"
     tags = " and ".join(map(str, surface_tags(contact))) or "of the mesh"
@@ -97,31 +97,27 @@ def checked_label(contact: Any) -> str:
 
 
 def check_tags(contact: Any, label: str, *roles: str) -> None:
-    """Check tags of facets, and the tag of each role."""
+    """Check tags of facets, and the tag of each role; names become the tags they stand for."""
     facet_tags = contact.facet_tags
     if not (hasattr(facet_tags, "find") and hasattr(facet_tags, "dim")):
         expected = "a MeshTags of facets, as returned by dolfinx.mesh.meshtags,"
         raise wrong_type(f"{label}: facet_tags", facet_tags, expected)
+    tags = {name: tag for tag, name in tag_names(facet_tags).items()}
     for role in roles:
         tag = getattr(contact, role)
+        tag = tags.get(tag, tag) if isinstance(tag, str) else tag
         if not is_integer(tag):
             raise InputError(
                 f"{label}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
-                f"values of facet_tags. {_remedy(tag, sorted(tag_names(facet_tags).values()))}"
+                f"values of facet_tags, or a name that they carry. {_remedy(tag, sorted(tags))}"
             )
+        object.__setattr__(contact, role, tag)
 
 
 def _remedy(tag: Any, names: Sequence[str]) -> str:
-    """Return what gives the number of a surface in place of a tag; `names` are all names."""
+    """Return what to give in place of a tag; `names` are all names."""
     if not isinstance(tag, str):
         return "To use several tags, join them under one"
     if not names:
-        return "Surfaces have numbers, not names"
-    listed = ", ".join(repr(name) for name in names)
-    if tag not in names:
-        return f"No surface has this name; the names are {listed}"
-    quoted = '"' + tag + '"'
-    return (
-        f"The number of this surface is parts.names[{quoted}], parts being what read_msh has "
-        f"returned; the names are {listed}"
-    )
+        return "These facet_tags carry no names; those of read_msh and split_interfaces do"
+    return f"The names are {', '.join(map(repr, names))}"

@@ -35,8 +35,8 @@ class TiedPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int
-        Tag of the slave's and of the master's surface. The slave should be the softer
+    slave, master : int or str
+        Tag or name of the slave's and of the master's surface. The slave should be the softer
         surface and, of two equally stiff ones, that with the larger facets.
     name : str
         For messages and the report.
@@ -62,8 +62,8 @@ class PeriodicPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int
-        Tag of the slave's and of the master's surface; their meshes have to match.
+    slave, master : int or str
+        Tag or name of the slave's and of the master's surface; their meshes have to match.
     translation : (gdim,) array-like, optional
         t [m]; by default 0.
     rotation : (gdim, gdim) array-like, optional
@@ -114,8 +114,8 @@ class BoltPreload(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int
-        Tags of the two sides of the cut.
+    slave, master : int or str
+        Tags or names of the two sides of the cut.
     force : float, optional
         Tension of the shank [N]; [N/m] in plane problems.
     shortening : float, optional

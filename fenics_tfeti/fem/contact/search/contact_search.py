@@ -34,7 +34,12 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
 )
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
-from fenics_tfeti.fem.contact.descriptions.surfaces import contact_keys, contact_name, free_key
+from fenics_tfeti.fem.contact.descriptions.surfaces import (
+    contact_keys,
+    contact_name,
+    free_key,
+    surface_tags,
+)
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
@@ -221,8 +226,9 @@ class ContactSearch:
             return roles
         roles = Roles(contact, contact)
         if isinstance(contact, ContactPair):
-            tags = (contact.slave, contact.master)
-            is_rigid = [self.rigid.on_surface(contact.facet_tags, tag) for tag in tags]
+            is_rigid = [
+                self.rigid.on_surface(contact.facet_tags, tag) for tag in surface_tags(contact)
+            ]
             if is_rigid == [True, False] and roles.may_exchange:
                 return roles.exchanged()
         return roles

@@ -21,6 +21,8 @@ from dolfinx.mesh import meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
+from fenics_tfeti.fem.contact.descriptions.partners import Mortar
+from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
@@ -236,8 +238,8 @@ def _pierced(
 
 def _facets(boundary: MeshBoundary, contact: SelfContact, label: str) -> Indices:
     """Return this rank's facets with the tag, without tags those on the boundary. Collective."""
-    if contact.surface is not None:
-        return tagged_facets(boundary, [(contact.facet_tags, contact.surface, label)])[0]
+    if tags := surface_tags(contact):
+        return tagged_facets(boundary, [(contact.facet_tags, *tags, label)])[0]
     domain = boundary.space.mesh
     owned = domain.topology.index_map(domain.topology.dim - 1).size_local
     return np.flatnonzero(boundary.exterior[:owned]).astype(np.int32)
@@ -351,7 +353,7 @@ class SelfPatches:
                     name=contact.name,
                     friction=contact.friction,
                     partial=True,
-                    partners="mortar",
+                    partners=Mortar(),
                     roles="given",
                 )
             pairs.append(pair)

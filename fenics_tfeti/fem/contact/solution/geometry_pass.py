@@ -58,7 +58,7 @@ def geometry_pass(
         slip = np.zeros(0) if new.slip is None else new.slip[loaded]
         distances = (new.penetration, np.abs(new.distance[loaded]), slip)
         largest[:3] = np.maximum(largest[:3], [part.max(initial=0.0) for part in distances])
-        force = result.normal_force[loaded]
+        force = result.nodal_normal_force[loaded]
         rotation = np.linalg.norm((new.normal - result.normal)[loaded], axis=1)
         sums += [np.sum(force * rotation**2), np.sum(force)]
     comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)

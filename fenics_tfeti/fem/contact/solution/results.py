@@ -169,7 +169,7 @@ class ContactResult(_SurfaceResult):
         the surfaces of the last pass.
     normal : (k, gdim) array
         Outward unit normals of the slave.
-    normal_force : (k,) array
+    nodal_normal_force : (k,) array
         [N]; [N/m] in plane problems; in axisymmetric ones [N] if the forms have the factor
         2 pi r, [N/rad] if they have r. With mortar conditions beside a node of both surfaces, as
         the tip of a crack, what acts on this node from both sides is part of it.
@@ -185,7 +185,7 @@ class ContactResult(_SurfaceResult):
         Whether the normal force is positive.
     area : (k,) array
         The area that belongs to the node, with the problem's `measure_weight` [m^2; m in 2D]: with
-        `NonlinearContactProblem` and ``geometry=Exact()`` that of the deformed surface, with the
+        `NonlinearContactProblem` and ``gaps=Deformed()`` that of the deformed surface, with the
         weight at deformed places, otherwise that of the undeformed one. It is the node's share of
         the facets around it; in a partial contact of pairs of nodes, of those whose nodes all have
         partners or are on both surfaces. With mortar conditions it is that of the covered part of
@@ -219,7 +219,7 @@ class ContactResult(_SurfaceResult):
     gap: Vector
     opening: Vector
     normal: Vector
-    normal_force: Vector
+    nodal_normal_force: Vector
     pressure: Vector
     nominal_pressure: Vector
     active: Mask

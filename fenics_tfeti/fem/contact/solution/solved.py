@@ -138,7 +138,7 @@ class SolvedContacts:
 
     def nodal_forces(self) -> SlaveValues:
         """Return the normal forces (k,) [N]."""
-        parts = ((result.dofs, result.normal_force) for result in self.contacts)
+        parts = ((result.dofs, result.nodal_normal_force) for result in self.contacts)
         return SlaveValues.of([found.history for found in self.contact_set.contacts], parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
@@ -177,7 +177,7 @@ def _contact_result(
         found.gap,
         opening[rows],
         conditions.normal,
-        normal_force=force,
+        nodal_normal_force=force,
         pressure=pressure,
         nominal_pressure=pressure * conditions.stretch,
         active=force > 0.0,

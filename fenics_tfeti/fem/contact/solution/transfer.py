@@ -45,7 +45,7 @@ def gather_solved(
         relative = conditions.relative(nodes.values(displacement))
         approach = np.sum(relative * conditions.normal, axis=1)
         # not the pressure that is reported, which is a mean at the rim
-        force = result.normal_force / conditions.area * conditions.stretch
+        force = result.nodal_normal_force / conditions.area * conditions.stretch
         columns = np.column_stack([np.ones_like(approach), force, approach])
         conditioned, columns = (
             concatenate_ranks(nodes.comm, column) for column in (conditions.slave, columns)

@@ -7,7 +7,7 @@ from mortar_blocks import LOWER, UPPER, Blocks
 
 import ufl
 
-from fenics_tfeti import ContactPair, Nearest
+from fenics_tfeti import ContactPair, Mortar, Nearest
 from fenics_tfeti.fem.contact.conditions.mortars import one_sided_conditions
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.fem.geometry.facets import Planes
@@ -70,7 +70,7 @@ def test_flat_matching_surfaces_have_two_terms_a_condition(cell, height):
     boundary, tags = MeshBoundary.of(beams.V), beams.facet_tags
     mortar, pairs = (
         match_contacts(boundary, [ContactPair(tags, UPPER, LOWER, partners=kind)])[0]
-        for kind in ("mortar", Nearest())
+        for kind in (Mortar(), Nearest())
     )
     np.testing.assert_array_equal(np.diff(mortar.terms.offsets), 2)
     for name in ("slave", "master"):

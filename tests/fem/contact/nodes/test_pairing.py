@@ -5,7 +5,7 @@ import pytest
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
-from fenics_tfeti import Along, ContactPair
+from fenics_tfeti import Along, ContactPair, Mortar
 
 
 def chosen(V, tags, **arguments):
@@ -16,7 +16,7 @@ def chosen(V, tags, **arguments):
 def test_equal_grids_match_at_any_distance(gap):
     V, tags = strips(gap=gap)
     assert chosen(V, tags) == "node_to_node"
-    assert chosen(V, tags, partners="mortar") == "mortar"
+    assert chosen(V, tags, partners=Mortar()) == "mortar"
 
 
 @pytest.mark.parametrize("upper", [3, 5, 8, 2])

@@ -10,14 +10,14 @@ from curved_rings import quarter_rings
 from scenes import MASTER, SLAVE
 from strips import bend, matched, strips
 
-from fenics_tfeti import ContactPair, Nearest
+from fenics_tfeti import ContactPair, Mortar, Nearest
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import user_gaps
 from fenics_tfeti.fem.geometry.normals import chord_heights
 from fenics_tfeti.io import displacement_space
 
-WAYS = (Nearest(), "mortar")
+WAYS = (Nearest(), Mortar())
 
 
 def arcs(lower, upper, gap=0.0, radius=2.0):
