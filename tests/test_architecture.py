@@ -33,9 +33,9 @@ LAYERS = {
 }
 # The rooms of fem, files or folders: each imports those before it.
 FEM_ORDER = [
-    "messages",
     "tolerances",
-    "gaps",
+    "messages",
+    "geometry",
     "form_numbers",
     "assembly_loops",
     "_compat",

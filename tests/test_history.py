@@ -66,7 +66,7 @@ class PressedBlock:
             more["displacement"] = lambda x: np.array([[self.travel[tag]], [0.0]]) + 0.0 * x[:2]
         else:
             self.bodies[tag] = [0.0, 0.0]
-            more["body"] = RigidBody((0.0, 0.0), translation=self.bodies[tag], rotation=0.0)
+            more["rigid_body"] = RigidBody((0.0, 0.0), translation=self.bodies[tag], rotation=0.0)
         return RigidObstacle(tags, tag, plane, **more)
 
     def move(self, bottom, top):

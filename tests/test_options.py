@@ -27,7 +27,7 @@ def test_script_without_a_command_line():
 
 
 def test_arguments_that_are_not_ours_are_left_alone_and_nothing_is_printed_unasked():
-    arguments = ("-n", "4", "--rtol", "2", "-tfeti_monitor", "false", "-tfeti_view", "0")
+    arguments = ("-n", "4", "--rtol", "2", "-tfeti_print_progress", "false", "-tfeti_view", "0")
     assert run_python(SOLVE, *arguments) == "True 1e-05 1.0"
 
 
@@ -37,7 +37,14 @@ def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice()
 
 
 def test_command_line_comes_before_the_script_and_flags_print_what_they_say():
-    arguments = ("-tfeti_monitor", "-tfeti_rtol", "1e-4", "-tfeti_view", "-tfeti_smalbe_rho", "2")
+    arguments = (
+        "-tfeti_print_progress",
+        "-tfeti_rtol",
+        "1e-4",
+        "-tfeti_view",
+        "-tfeti_smalbe_rho",
+        "2",
+    )
     printed = run_python(SOLVE, *arguments)
     lines = printed.splitlines()
     assert lines[0].startswith("face    0  products")

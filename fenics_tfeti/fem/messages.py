@@ -14,13 +14,18 @@ from numpy.typing import NDArray
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import format_point
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.parallel import concatenate_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 def coordinate_order(points: Vector) -> NDArray[np.intp]:
-    """Return the order of points (k, gdim) by coordinates, which is that on any ranks."""
-    return np.lexsort(points.T[::-1])
+    """Return the order of points (k, gdim) by coordinates, which is that on any ranks.
+
+    Coordinates that differ by rounding are the same, and the next ones decide.
+    """
+    size = np.abs(points).max(initial=0.0) or 1.0
+    return np.lexsort(np.round(points / (RELATIVE_ROUNDING * size)).T[::-1])
 
 
 def first_rows(comm: MPI.Intracomm, columns: Sequence[Vector], number: int) -> list[Vector]:

@@ -253,15 +253,16 @@ class Proportioning:
         d = self.split.boundary
         Ad, Qd = self.product(d, "proportioning")
         # lower bounds cannot be hit, but the opposite ends of intervals can
-        gd, curvature, longest = self.space.dots_and_min(
-            (self.g, d), (d, Ad), value=self.feasible.longest_step(self.x, d)
+        gd, curvature, dd, longest = self.space.dots_and_min(
+            (self.g, d), (d, Ad), (d, d), value=self.feasible.longest_step(self.x, d)
         )
-        if curvature <= 0.0 and not np.isfinite(longest):
+        flat = self.is_flat(curvature, dd)
+        if flat and not np.isfinite(longest):
             raise Unbounded(
                 "the cost function falls without limit when a bound is released: the Hessian is "
                 "not positive definite there; add the missing constraints or regularise"
             )
-        length = gd / curvature if curvature > 0.0 else np.inf
+        length = np.inf if flat else gd / curvature
         self.move(min(length, longest), d, Ad, Qd)
         self.new_face()
 
@@ -278,8 +279,7 @@ class Proportioning:
         gp, curvature, pp, longest = self.space.dots_and_min(
             (self.g, p), (p, Ap), (p, p), value=self.feasible.longest_step(self.x, p)
         )
-        # 1 / step_length stands for ||A||: no curvature but that of rounding
-        flat = curvature <= _NO_CURVATURE * pp / self.options.step_length
+        flat = self.is_flat(curvature, pp)
         if flat and not np.isfinite(longest):
             raise Unbounded(
                 "the cost function falls without limit along a feasible direction: the Hessian is "
@@ -331,6 +331,11 @@ class Proportioning:
         else:
             self.x, self.g, self.Qx = before[:3]
             self.expansion_step(longest, p, Ap, Qp)
+
+    def is_flat(self, curvature: float, square: float) -> bool:
+        """Tell whether a direction with d'Ad and d'd has no curvature but that of rounding."""
+        # 1 / step_length stands for ||A||
+        return curvature <= _NO_CURVATURE * square / self.options.step_length
 
     def product(self, x: Vector, kind: str) -> tuple[Vector, Vector | None]:
         """Return Ax and Qx, counted."""

@@ -45,7 +45,8 @@ def block(parts: str, jump: float) -> Scene:
 @pytest.mark.parametrize(
     ("parts", "jump", "options", "products"),
     [
-        ("fibres", 1e8, {"subdomain_size": 2000}, 250),
+        # rounding counts: with OpenBLAS' kernels of eight processors 244 to 295 and 269 to 336
+        ("fibres", 1e8, {"subdomain_size": 2000}, 310),
         ("fibres", 1e10, {"subdomain_size": 2000}, 350),
         ("fibres", 1e10, {"subdomain_size": 2000, "preconditioner": "dirichlet"}, 90),
         ("fibres", 1e10, {"subdomain_size": 200}, 50),

@@ -57,7 +57,7 @@ TOP = Plane((0.0, 1.0), (0.0, -1.0))
 def test_force_and_prescribed_motion_are_inverse():
     """A lid that prescribed motions press and turn, and the loads that these take."""
     pushed = lid(translation=(0.0, -0.05), rotation=-0.05)
-    problem = rubber([{"obstacle": TOP, "body": pushed}], n=2)
+    problem = rubber([{"obstacle": TOP, "rigid_body": pushed}], n=2)
     problem.solve()
     first, (held,) = problem.u.x.array.copy(), problem.rigid_bodies
     assert held.translation == pytest.approx([0.0, -0.05])
@@ -69,7 +69,7 @@ def test_force_and_prescribed_motion_are_inverse():
         fem.Constant(problem.space.mesh, 0.0),
     )
     loaded = lid(force=force, moment=moment, translation=(0.0, None))
-    problem = rubber([{"obstacle": TOP, "body": loaded}], n=2)
+    problem = rubber([{"obstacle": TOP, "rigid_body": loaded}], n=2)
 
     def set_load(t):
         force.value[:] = 0.0, t * held.reaction[1]
@@ -85,7 +85,7 @@ def test_force_and_prescribed_motion_are_inverse():
 
 def test_steps_are_cut_where_a_body_would_turn_too_far():
     turned = lid(translation=(0.0, 0.0), rotation=0.45)
-    problem = rubber([{"obstacle": Plane((0.0, 5.0), (0.0, -1.0)), "body": turned}], n=2)
+    problem = rubber([{"obstacle": Plane((0.0, 5.0), (0.0, -1.0)), "rigid_body": turned}], n=2)
     problem.solve()
     lengths = [step.length for step in problem.report.newton]
     assert lengths == pytest.approx([0.3 / 0.45, 1.0], rel=1e-6)
@@ -98,7 +98,9 @@ def test_plate_tilts_about_two_axes(friction):
 
     def solved(**more):
         plate = RigidBody((0.5, 0.5, 1.0), name="plate", **more)
-        problem = rubber([{"obstacle": plane, "body": plate, "friction": friction}], n=2, dim=3)
+        problem = rubber(
+            [{"obstacle": plane, "rigid_body": plate, "friction": friction}], n=2, dim=3
+        )
         problem.solve()
         assert len(problem.report.newton) <= 8
         return problem.rigid_bodies["plate"]
@@ -120,7 +122,9 @@ def test_wheel_rolls_on_rubber():
     radius, turns = 0.5, Value()
     wheel = RigidBody((0.7, 1.5), force=(0.0, -0.02 * E), rotation=turns, name="wheel")
     tyre = Sphere((0.7, 1.5), radius)
-    problem = rubber([{"obstacle": tyre, "body": wheel, "friction": Coulomb(1.0)}], width=2.0, n=6)
+    problem = rubber(
+        [{"obstacle": tyre, "rigid_body": wheel, "friction": Coulomb(1.0)}], width=2.0, n=6
+    )
 
     def set_load(t):
         turns.value = -t
@@ -139,7 +143,9 @@ def test_wheel_rolls_on_rubber():
 def test_places_of_bodies_on_another_mesh():
     """A loaded lid starts where it is on the coarser mesh; on the same mesh it is at its end."""
     moved = lid(translation=(0.0, None), force=(0.0, -0.05 * E), rotation=0.02)
-    coarse, again, finer = (rubber([{"obstacle": TOP, "body": moved}], n=n) for n in (2, 2, 4))
+    coarse, again, finer = (
+        rubber([{"obstacle": TOP, "rigid_body": moved}], n=n) for n in (2, 2, 4)
+    )
     coarse.solve()
     again.solve(coarse=coarse)
     assert len(again.report.newton) == 1
@@ -155,7 +161,7 @@ def test_restored_problem_goes_on(tmp_path):
         force = Value()
         force.value = (0.0, 0.0)
         body = lid(force=force, translation=(0.0, None), rotation=0.0)
-        return force, rubber([{"obstacle": TOP, "body": body}])
+        return force, rubber([{"obstacle": TOP, "rigid_body": body}])
 
     force, problem = posed()
     for share in (0.5, 1.0):
@@ -214,7 +220,7 @@ def test_springs_are_no_tangents():
     lids = [
         {
             "obstacle": Plane((0.0, height), (0.0, -1.0)),
-            "body": RigidBody(
+            "rigid_body": RigidBody(
                 (0.5, height),
                 name=f"lid at {height}",
                 translation=(0.0, None),

@@ -66,11 +66,11 @@ class Patches:
 
 
 def find_patches(
-    pairs: Numbers, gap: Vector, nodes: Numbers, size: Vector, before: Numbers
+    pairs: Numbers, gap: Vector, nodes: Numbers, area: Vector, before: Numbers
 ) -> tuple[Patches, Numbers]:
     """Return the patches of pairs (p, 2) of facets with gaps (p,), and roles (n,) of nodes.
 
-    Facets have nodes (f, v), sizes (f,) and the roles (f,) before, which they keep; of new patches
+    Facets have nodes (f, v), areas (f,) and the roles (f,) before, which they keep; of new patches
     the side with the larger facets is the slave.
     """
     order = np.argsort(gap, kind="stable")
@@ -80,7 +80,7 @@ def find_patches(
     is_one = (of_facets == of_facets[:, :1]).all(axis=1)
     fits = is_one[pairs].all(axis=1) & (of_facets[pairs[:, 0], 0] != of_facets[pairs[:, 1], 0])
     kept = pairs[fits]
-    role = _roles(kept, of_facets[:, 0], part[nodes[:, 0]], size, before)
+    role = _roles(kept, of_facets[:, 0], part[nodes[:, 0]], area, before)
     of_nodes = np.zeros(side.size, dtype=np.int64)
     of_nodes[nodes[kept]] = role[kept][:, :, None]
     kept = np.where((role[kept[:, 0]] == SLAVE)[:, None], kept, kept[:, ::-1])
@@ -132,7 +132,7 @@ def _sides(pairs: Numbers, nodes: Numbers) -> tuple[Numbers, Numbers]:
     return side[:count].astype(np.int64), part
 
 
-def _roles(pairs: Numbers, side: Numbers, part: Numbers, size: Vector, before: Numbers) -> Numbers:
+def _roles(pairs: Numbers, side: Numbers, part: Numbers, area: Vector, before: Numbers) -> Numbers:
     """Return the roles (f,) of the facets of pairs, by their sides and parts (f,)."""
     role, facets = np.zeros(side.size, dtype=np.int64), np.unique(pairs)
     count, of = int(part.max(initial=-1)) + 1, part[facets]
@@ -143,7 +143,7 @@ def _roles(pairs: Numbers, side: Numbers, part: Numbers, size: Vector, before: N
     for number in (0, 1):
         there = side[facets] == number
         number_of = np.bincount(of[there], minlength=count)
-        means.append(np.bincount(of[there], size[facets][there], count) / np.maximum(number_of, 1))
+        means.append(np.bincount(of[there], area[facets][there], count) / np.maximum(number_of, 1))
     is_larger = means[0] * _LARGER >= means[1]
     zero_is_slave = np.where(kept == 0.0, is_larger, kept > 0.0)
     role[facets] = np.where((side[facets] == 0) == zero_is_slave[of], SLAVE, MASTER)

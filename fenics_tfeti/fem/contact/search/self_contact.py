@@ -33,6 +33,7 @@ from fenics_tfeti.fem.geometry.facets import (
     reference_coordinates,
     shape_functions,
 )
+from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.topology import cell_type, distinct_rows
@@ -119,6 +120,11 @@ class WholeSurface:
     def size(self) -> Vector:
         """The longest edge of each facet, (f,) [m]."""
         return edge_lengths(self.points[self.nodes]).max(axis=1)
+
+    @cached_property
+    def area(self) -> Vector:
+        """The area of each facet (f,) [m^2; m in 2D]."""
+        return np.linalg.norm(facet_normals(self.points[self.nodes]), axis=1)
 
     @cached_property
     def adjacent(self) -> sp.csr_matrix:
@@ -297,7 +303,7 @@ class SelfPatches:
             return self
         surface, before = self.surface, self.patches.roles
         near = surface.facing(x, _MARGIN * self.reach, self.patches)
-        patches, of_nodes = find_patches(near.pairs, near.gap, surface.nodes, surface.size, before)
+        patches, of_nodes = find_patches(near.pairs, near.gap, surface.nodes, surface.area, before)
         patches = widened(patches, of_nodes, x, surface.nodes, surface.adjacent, _RINGS)
         return self._with(patches)
 
