@@ -72,7 +72,7 @@ def test_problem_that_needs_a_mechanism(level, seed):
 
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize(("level", "first", "count"), [
-    pytest.param("feti", 0, 50, marks=pytest.mark.once),
+    pytest.param("feti", 0, 12, marks=pytest.mark.once),
     ("mesh", 7, 8),
     pytest.param("feti", 0, 160, marks=pytest.mark.heavy),
     pytest.param("mesh", 0, 40, marks=pytest.mark.heavy),
@@ -130,9 +130,9 @@ def notes():
     comm.Free()
 
 
-# beside some that are drawn, those with friction that failed once
+# those with friction that failed once; `make fuzz` draws others
 @pytest.mark.ranks(2)
-@pytest.mark.parametrize("seed", [*range(0, 20, 5), 318, 864, 1760, 7884])
+@pytest.mark.parametrize("seed", [318, 864, 1760, 7884])
 def test_random_problem(seed, notes):
     comm = MPI.COMM_WORLD
     outcome = notes.bcast(solve_case("feti", seed, comm, notes))

@@ -67,8 +67,15 @@ def derivatives(scene, kind):
     return np.array([by_nodes, *slopes, *tangents, *loads])
 
 
-@pytest.mark.ranks(2, 3)
-@pytest.mark.parametrize("kind", KINDS)
+ON_THREE = ("mortar", "3D, Tresca", "shortening")
+
+
+def on_ranks(kinds):
+    """Return cases for `parametrize`, each on two ranks or on three."""
+    return [pytest.param(k, marks=pytest.mark.ranks(2 + (k in ON_THREE))) for k in kinds]
+
+
+@pytest.mark.parametrize("kind", on_ranks(KINDS))
 def test_as_on_one_rank(kind):
     dealt, alone = (derivatives(KINDS[kind](comm=comm), kind) for comm in (COMM, MPI.COMM_SELF))
     assert dealt == pytest.approx(alone, rel=1e-8, abs=1e-9 * np.abs(alone).max())
@@ -83,8 +90,7 @@ OTHERS = {
 }
 
 
-@pytest.mark.ranks(2, 3)
-@pytest.mark.parametrize("kind", OTHERS)
+@pytest.mark.parametrize("kind", on_ranks(OTHERS))
 def test_ties_and_bodies_as_on_one_rank(kind):
     make, parameter = OTHERS[kind]
     slopes = []

@@ -14,7 +14,10 @@ SCENES = {
 }
 
 
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.heavy] * (name == "hexahedra")) for name in SCENES],
+)
 def test_fewer_steps_and_the_same_solution(name):
     coarse, fine, alone = (SCENES[name](n) for n in (1, 2, 2))
     for scene in (coarse, fine, alone):

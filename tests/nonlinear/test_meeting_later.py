@@ -14,6 +14,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 import scenes
+from pairwise import pairwise
 from scenes import CLAMPED, GROUND, MASTER, SLAVE, at
 
 import ufl
@@ -162,9 +163,7 @@ def floor_that_ends(dim):
     return gap_and_normal
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("obstacle", [False, True])
-@pytest.mark.parametrize("dim", [2, 3])
+@pytest.mark.parametrize(("dim", "obstacle", "degree"), pairwise([2, 3], [False, True], [1, 2]))
 def test_surface_that_moves_until_it_meets_another(dim, obstacle, degree):
     """With linear elasticity: before, the block is beside the foundation, and higher."""
     force, expected = (forces_after_moving(dim, away, obstacle, degree) for away in (True, False))

@@ -49,7 +49,7 @@ def test_block_that_contact_alone_holds():
     assert max(steps_of(scene, np.linspace(0.25, 1.0, 4))) <= 5
 
 
-@pytest.mark.parametrize("size", [20, 60, 3000])
+@pytest.mark.parametrize("size", [20, pytest.param(60, marks=pytest.mark.heavy), 3000])
 def test_steps_do_not_depend_on_the_partition(size):
     """Of a pair, whose forces turn and move with both surfaces."""
     scene, _ = pressed_patch(0.4, False, newton_rtol=1e-8, subdomain_size=size)
@@ -64,7 +64,7 @@ def test_forces_that_turn():
     assert max(steps_of(scene, [0.5, 1.0])) <= 8
 
 
-@pytest.mark.parametrize("loads", [[1.0], [0.5, 1.0]])
+@pytest.mark.parametrize("loads", [[1.0], pytest.param([0.5, 1.0], marks=pytest.mark.heavy)])
 def test_unstable_equilibria_are_left(loads):
     """A column under a plane buckles; the straight one, with a tip that moves by 0.02, is a saddle.
 

@@ -4,6 +4,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from pairwise import pairwise
 
 import ufl
 from dolfinx import fem
@@ -70,12 +71,17 @@ def largest(comm, values):
     return comm.allreduce(float(np.max(values, initial=-np.inf)), MPI.MAX)
 
 
-@pytest.mark.ranks
-@pytest.mark.parametrize("gaps", [None, Deformed(1e-6)], ids=["finite strains", "exact"])
 # pairs of nodes of degree 1, mortars of both degrees
-@pytest.mark.parametrize(("cells", "degree"), [(3, 1), (4, 1), (4, 2)])
-@pytest.mark.parametrize("kind", ["plane strain", "axisymmetric"])
-def test_uniform_pressure(kind, cells, degree, gaps):
+MESHES = [(3, 1), (4, 1), (4, 2)]
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize(
+    ("kind", "mesh", "gaps"),
+    pairwise(["plane strain", "axisymmetric"], MESHES, [None, Deformed(1e-6)]),
+)
+def test_uniform_pressure(kind, mesh, gaps):
+    cells, degree = mesh
     problem, _ = pressed(kind, cells, degree, gaps)
     problem.solve()
     end = 1 + largest(MPI.COMM_WORLD, problem.u.x.array.reshape(-1, 2)[:, 0])

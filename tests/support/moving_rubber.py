@@ -84,6 +84,10 @@ class Motion:
         dx = dx if body is None else dx(body)
         pairs = [(0, 1)] if self.dim == 2 else [(1, 2), (2, 0), (0, 1)]
         parts = [*v, *(x[i] * v[j] - x[j] * v[i] for i, j in pairs)]
-        comm = self.bodies.mesh.comm
-        forms = [fem.form(self._density * part * dx) for part in parts]
-        return np.array([comm.allreduce(fem.assemble_scalar(form)) for form in forms])
+        # one form for all of them
+        chosen = self.bodies.constant(np.zeros(len(parts)))
+        form = fem.form(self._density * ufl.inner(chosen, ufl.as_vector(parts)) * dx)
+        momenta = []
+        for chosen.value[:] in np.eye(len(parts)):
+            momenta.append(self.bodies.mesh.comm.allreduce(fem.assemble_scalar(form)))
+        return np.array(momenta)

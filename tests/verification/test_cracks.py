@@ -74,13 +74,17 @@ def cracked(gdim, degree, partners, comm=MPI.COMM_WORLD, **arguments):
     return V, pair
 
 
-@pytest.mark.ranks
 @pytest.mark.parametrize(
-    ("degree", "partners"),
-    [(1, None), (1, Mortar()), (2, None)],
-    ids=["nodes", "mortar", "degree 2"],
+    ("gdim", "degree", "partners"),
+    [
+        (2, 1, None),
+        pytest.param(2, 1, Mortar(), marks=pytest.mark.ranks),
+        (2, 2, None),
+        pytest.param(3, 1, None, marks=pytest.mark.ranks),
+        (3, 1, Mortar()),
+        (3, 2, None),
+    ],
 )
-@pytest.mark.parametrize("gdim", [2, 3])
 def test_uniform_pressure(gdim, degree, partners):
     V, pair = cracked(gdim, degree, partners, friction=Coulomb(0.3))
     mesh = V.mesh

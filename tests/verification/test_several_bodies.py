@@ -63,8 +63,15 @@ def test_two_bodies_are_the_slave_of_one():
     assert largest == pytest.approx(2.0 * PRESSURE / YOUNG, rel=1e-9)
 
 
-@pytest.mark.parametrize("friction", [None, Coulomb(0.2)])
-@pytest.mark.parametrize("on_bar", [8, 9])
+@pytest.mark.parametrize(
+    ("on_bar", "friction"),
+    [
+        (8, Coulomb(0.2)),
+        pytest.param(8, None, marks=pytest.mark.ranks(1)),
+        pytest.param(9, Coulomb(0.2), marks=pytest.mark.ranks(1)),
+        (9, None),
+    ],
+)
 def test_two_bodies_are_the_master_of_one(on_bar, friction):
     """As two pairs: a step between the two blocks, of which one is soft, is not bridged."""
     solved = []

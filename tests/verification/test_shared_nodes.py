@@ -6,6 +6,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from pairwise import pairwise
 
 import ufl
 from dolfinx.fem import dirichletbc, locate_dofs_topological
@@ -216,9 +217,10 @@ def stop(curvature):
     return RigidObstacle(block()[1], TOP, surface, name="stop")
 
 
-@pytest.mark.parametrize("order", [1, -1])
-@pytest.mark.parametrize("turns", [False, True])
-@pytest.mark.parametrize("curvature", [0.0, -0.003])
+@pytest.mark.parametrize(
+    ("order", "turns", "curvature"),
+    pairwise([1, -1], [False, True], [0.0, -0.003]),
+)
 def test_stop_behind_a_lid(order, turns, curvature):
     """All nodes touch both; rows of the stop and of the lid depend on each other together."""
     problem = lifted([plate(2.0, turns=turns), stop(curvature)][::order])

@@ -106,8 +106,10 @@ def steps(case, comm, law):
     return found
 
 
-SOLVED = [("ground", Tresca(0.037)), ("mortar of tetrahedra", Tresca(0.037))]
-SOLVED += [("matching", Tresca(0.037)), ("mortar of triangles", Coulomb(0.37))]
+SOLVED = [("mortar of tetrahedra", Tresca(0.037)), ("mortar of triangles", Coulomb(0.37))]
+SOLVED += [
+    pytest.param(case, Tresca(0.037), marks=pytest.mark.heavy) for case in ("ground", "matching")
+]
 
 
 @pytest.mark.ranks(2)

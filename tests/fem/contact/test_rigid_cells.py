@@ -49,13 +49,12 @@ def measures(problem):
     return np.append(body.translation, body.rotation), np.concatenate([*forces, nodal.ravel()])
 
 
-@ranks
 @pytest.mark.parametrize(
     ("gdim", "held", "law"),
     [
-        (2, {}, Coulomb(0.3)),
+        pytest.param(2, {}, Coulomb(0.3), marks=ranks),
         (3, {"translation": (0.0, 0.0, None), "rotation": (None, None, 0.0)}, None),
-        (2, {"translation": (2e-4, -1e-3), "rotation": 2e-4}, None),
+        pytest.param(2, {"translation": (2e-4, -1e-3), "rotation": 2e-4}, None, marks=ranks),
         (2, {"spring": [0.1 * YOUNG] * 2}, None),
     ],
     ids=["loads", "loads in 3D", "motion", "spring"],
@@ -75,10 +74,12 @@ def test_flat_foot_is_a_plane(gdim, held, law):
         assert np.abs(found - wanted).max() <= 1e-6 * np.abs(wanted).max()
 
 
-@ranks
 @pytest.mark.parametrize(
     ("foot", "sideways", "gaps"),
-    [((0.2, 0.7), 0.1 * FORCE, None), ((0.25, 0.75), 0.0, Deformed(1e-6))],
+    [
+        ((0.2, 0.7), 0.1 * FORCE, None),
+        pytest.param((0.25, 0.75), 0.0, Deformed(1e-6), marks=ranks),
+    ],
 )
 def test_foot_is_a_stiff_body(foot, sideways, gaps):
     """Tractions on the cells are loads of the body, and its nodes move with it.
