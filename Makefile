@@ -14,8 +14,8 @@ OTHER_RANKS ?= 2
 PYTHON ?= python3
 
 .DEFAULT_GOAL := help
-.PHONY: help env env-wheel lock demo demos demo-runs dist test test-wheel test-debian13 test-latest \
-	test-installed fuzz verify check format docs clean
+.PHONY: help env env-wheel lock demo demos demo-runs dist release-check test test-wheel \
+	test-debian13 test-latest test-installed fuzz verify check format docs clean
 
 help:  ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /  \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -77,6 +77,9 @@ demo-runs: env  ## run all demos for the pages about them: output and pictures t
 
 dist: env  ## wheel and sdist in dist/
 	$(PY) tools/build_dists.py dist
+
+release-check: env  ## what wheel, sdist and recipe of conda hold
+	$(PY) -m pytest tests/test_dists.py
 
 clean:  ## remove the environments and what runs leave behind
 	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock

@@ -1,4 +1,4 @@
-"""The wheel and the sdist have all files."""
+"""The wheel and the sdist have all files; run by `make release-check`."""
 
 import re
 import sys
@@ -11,8 +11,6 @@ import pytest
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "tools"))
 from build_dists import build, project_files
-
-pytestmark = pytest.mark.once
 
 
 @pytest.fixture(scope="module")

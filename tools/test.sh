@@ -15,9 +15,16 @@ export PYTHONDONTWRITEBYTECODE=
 find "${XDG_CACHE_HOME:-$HOME/.cache}/fenics" -name 'libffcx_*.c' -mmin +5 2>/dev/null |
     while read -r source; do [ -e "$source.cached" ] || rm -f "$source"; done || true
 
+compiled() {
+    { find "${XDG_CACHE_HOME:-$HOME/.cache}/fenics" -name 'libffcx_*.cached' || true; } 2>/dev/null |
+        wc -l
+}
+before=$(compiled)
+
 echo "== $1: serial tests"
 # A file is run by one process, since its tests share what they have solved.
-"$python" -m pytest tests --ignore=tests/mpi -m "$marks" -n auto --maxprocesses=4 --dist=loadfile \
+"$python" -m pytest tests --ignore=tests/mpi --ignore=tests/test_dists.py -m "$marks" --durations=40 \
+    -n auto --maxprocesses=4 --dist=loadfile \
     --no-loadscope-reorder  # the long files first: demos, which have few tests
 
 # The mpirun must belong to the MPI library that mpi4py loads: the environment's own, Debian's, or,
@@ -41,6 +48,8 @@ for ranks in ${MPI_RANKS:-2 3}; do
     mapfile -t files < <(grep -rl --include="test_*.py" "$marked" tests)
     echo "== $1: MPI tests on $ranks ranks"
     timeout --kill-after=20 "${MPI_TIMEOUT:-1200}" "$mpirun" "${options[@]}" -n "$ranks" \
-        "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread \
+        "$python" -m pytest -p pytest_ranks --color="$color" --timeout-method=thread --durations=20 \
         tests/mpi "${files[@]}" -m "$marks"
 done
+# each takes a fifth of a second, the first time
+echo "== $1: $(($(compiled) - before)) forms, expressions and elements compiled"

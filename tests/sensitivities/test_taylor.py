@@ -77,9 +77,13 @@ def has(kind, name):
 
 
 # those of other kinds are for the long run
-QUICK = ("mortar", "Coulomb, mortar", "3D, Tresca", "body")
+QUICK = ("Coulomb, mortar", "3D, Tresca", "body")
 CASES = [
-    pytest.param(kind, name, marks=[] if kind in QUICK else pytest.mark.heavy)
+    pytest.param(
+        kind,
+        name,
+        marks=[pytest.mark.heavy] * (kind not in QUICK and (kind, name) != ("mortar", "nodes")),
+    )
     for kind in KINDS
     for name in PARAMETERS
     if has(kind, name)

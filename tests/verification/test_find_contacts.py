@@ -138,7 +138,7 @@ def test_head_joints_that_are_open_have_no_friction():
     sys.path.insert(0, str(ROOT / "benchmarks"))
     import bricks
 
-    parts, course_of = bricks.wall(60, 2)
+    parts, course_of = bricks.wall(30, 2)
     made, friction = boxes(COMM, parts, "quadrilateral"), Coulomb(0.3)
     _, a, L = forms(made.mesh, (0, -bricks.WEIGHT), 5e9)
     tags, plane = bricks.bed_joints(made, course_of), Plane((0, 0), (0, 1))

@@ -33,7 +33,11 @@ def peers(monkeypatch):
     [
         ("two beams", ["tfeti"]),
         ("two beams, meshes 1:1.4", ["tfeti-apart", "getfem-mortar", "calculix-mortar-apart"]),
-        ("two beams, meshes 1:3", ["tfeti-apart", "getfem-mortar", "calculix-mortar-apart"]),
+        pytest.param(
+            "two beams, meshes 1:3",
+            ["tfeti-apart", "getfem-mortar", "calculix-mortar-apart"],
+            marks=pytest.mark.heavy,
+        ),
         ("one beam on rigid ground", ["tfeti-rigid", "tfeti-rigid-scotch"]),
     ],
 )
