@@ -19,7 +19,7 @@ from fenics_tfeti import Coulomb, NotConverged, Sphere
 COMM = MPI.COMM_WORLD
 RADIUS = 5.0
 
-pytestmark = pytest.mark.ranks
+pytestmark = [pytest.mark.ranks, pytest.mark.once]
 # what is found is the same on all ranks: of many cases, a few are for several
 one_rank = pytest.mark.ranks(1)
 

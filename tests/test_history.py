@@ -27,6 +27,8 @@ from fenics_tfeti import (
 )
 from fenics_tfeti.models import neo_hookean
 
+pytestmark = pytest.mark.once
+
 SIDE, BOTTOM, TOP = 1, 2, 3
 COMM = MPI.COMM_WORLD
 NAMED, UNNAMED = ("floor", "lid"), ("", "")

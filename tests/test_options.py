@@ -26,6 +26,7 @@ def test_script_without_a_command_line():
     assert run_python(code).splitlines() == 3 * ["True 1e-05 1.0"]
 
 
+@pytest.mark.once
 def test_arguments_that_are_not_ours_are_left_alone_and_nothing_is_printed_unasked():
     arguments = ("-n", "4", "--rtol", "2", "-tfeti_print_progress", "false", "-tfeti_view", "0")
     assert run_python(SOLVE, *arguments) == "True 1e-05 1.0"
@@ -36,6 +37,7 @@ def test_modules_that_were_started_with_the_command_line_do_not_count_it_twice()
     assert run_python(f"{start}\n{SOLVE}", "-tfeti_rtol", "1e-4") == "True 0.0001 1.0"
 
 
+@pytest.mark.once
 def test_command_line_comes_before_the_script_and_flags_print_what_they_say():
     arguments = (
         "-tfeti_print_progress",

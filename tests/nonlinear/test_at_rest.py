@@ -11,6 +11,8 @@ from dolfinx import fem
 
 from fenics_tfeti import Coulomb, Deformed, Plane
 
+pytestmark = pytest.mark.once
+
 ANGLE = 0.3
 
 

@@ -42,6 +42,7 @@ def test_meshes_on_several_ranks():
     assert forces[0] == pytest.approx(forces[1], rel=1e-5)
 
 
+@pytest.mark.once
 def test_own_solution_is_an_equilibrium():
     """Displacement and forces: the first step changes nothing, and ends."""
     scenes = [indented_block(n=8) for _ in range(2)]
@@ -54,6 +55,7 @@ def test_own_solution_is_an_equilibrium():
     np.testing.assert_allclose(*forces, atol=1e-6 * forces[0].max())
 
 
+@pytest.mark.once
 def test_failure_leaves_the_displacement():
     coarse, fine = indented_block(n=4), indented_block(n=8, newton_max_it=1, newton_rtol=1e-9)
     coarse.solve([1.0])

@@ -22,6 +22,8 @@ from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import neo_hookean
 from fenics_tfeti.newton.iteration import NewtonStep
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 
 

@@ -10,6 +10,8 @@ from dolfinx import fem
 
 from fenics_tfeti import InputError, NotConverged
 
+pytestmark = pytest.mark.once
+
 # where the load has its largest value before the arch snaps through
 LIMIT = 5.7e-5
 

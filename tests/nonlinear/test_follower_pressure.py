@@ -26,6 +26,7 @@ def test_tube_opens_as_the_formula_says(kind, degree, n, rtol):
     assert opening > 0.4
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("degree", [1, 2])
 @pytest.mark.parametrize("make", [tube, strip])
 def test_as_many_steps_as_with_the_whole_tangent(make, degree):
@@ -40,6 +41,7 @@ def test_as_many_steps_as_with_the_whole_tangent(make, degree):
     assert (newton[0].corrections > 0) == (make is strip)
 
 
+@pytest.mark.once
 @pytest.mark.ranks
 def test_seal_that_contact_alone_holds():
     """Its wall carries the pressure over its present height.

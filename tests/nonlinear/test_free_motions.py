@@ -12,6 +12,8 @@ from dolfinx import fem
 from fenics_tfeti import NonlinearContactProblem, NotConverged, Plane
 from fenics_tfeti.models import neo_hookean
 
+pytestmark = pytest.mark.once
+
 
 def problem_of(bodies, load=0.0):
     """Return equilibrium of a material with a stiffness of 1, pressed from above."""

@@ -35,7 +35,7 @@ CELLS = {2: "quadrilateral", 3: "hexahedron"}
 # the block, before it has turned, is this far from where it meets the foundation
 AWAY = np.array([3.0, 2.0, 0.0])
 
-pytestmark = pytest.mark.ranks(1, 2, 3)
+pytestmark = [pytest.mark.ranks(1, 2, 3), pytest.mark.once]
 
 
 @dataclass

@@ -48,6 +48,7 @@ def falling(x):
     return np.stack([0.0 * x[0], -0.3 + 0.0 * x[0], 0.0 * x[0]])
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("mass", "steps"), [("moved", 40), ("at nodes", 12)])
 def test_no_energy_comes_from_a_plane(mass, steps):
     """What is lost is that of nodes which stop, and of cells without mass."""
@@ -68,6 +69,7 @@ def test_no_energy_comes_from_a_plane(mass, steps):
         assert motion.momenta()[1] > 0.2
 
 
+@pytest.mark.once
 def test_two_blocks_exchange_their_momenta():
     """The energy of one of them falls, at no step it grows."""
     motion = Motion(floor="block", dt=0.15, n=3)

@@ -24,6 +24,8 @@ from fenics_tfeti import (
 )
 from fenics_tfeti.models import isotropic, neo_hookean
 
+pytestmark = pytest.mark.once
+
 COMM = MPI.COMM_WORLD
 TWO = pytest.mark.ranks(1, 2)
 

@@ -19,6 +19,8 @@ from fenics_tfeti.feti import TornSolver
 from fenics_tfeti.feti.solution.linear import LinearProblem
 from fenics_tfeti.newton import iteration
 
+pytestmark = pytest.mark.once
+
 ACCURATE = {"newton_rtol": 1e-8, "subdomain_size": 60}
 
 

@@ -28,6 +28,7 @@ def test_uniform_compression(confined, compression, turned):
     np.testing.assert_allclose(result.force, force, atol=1e-7)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("size", [60, pytest.param(3000, marks=pytest.mark.heavy)])
 def test_free_edges_that_lie_on_each_other(size):
     """Only the stiffness of the contact forces makes them stable, at a pressure of 0.6 E."""
@@ -64,6 +65,7 @@ def test_cells_degrees_and_roles(cell, degree, upper):
     np.testing.assert_allclose(scene.problem.results[0].force, sign * force, atol=1e-8)
 
 
+@pytest.mark.once
 def test_turning_is_no_slip():
     """Pressed blocks that stick are turned by 60 degrees, in steps of 30."""
     scene, force = pressed_patch(

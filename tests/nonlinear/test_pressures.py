@@ -105,6 +105,7 @@ def test_uniform_pressure(kind, mesh, gaps):
     assert largest(MPI.COMM_WORLD, pressure.x.array) == pytest.approx(force / area, rel=1e-5)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("gaps", [None, Deformed(1e-6)], ids=["finite strains", "exact"])
 @pytest.mark.parametrize(("cells", "degree"), [(3, 1), (4, 2)])
 def test_a_changed_weight_counts_in_the_next_solve(cells, degree, gaps):

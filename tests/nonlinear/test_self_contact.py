@@ -25,6 +25,8 @@ from fenics_tfeti import (
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import neo_hookean, symmetry_plane
 
+pytestmark = pytest.mark.once
+
 UPPER, LOWER, CUT, FIRST, SECOND = 11, 12, 13, 14, 15
 RADIUS, THICK = 1.0, 0.12
 

@@ -9,6 +9,8 @@ import ufl
 from fenics_tfeti import ContactProblem, Coulomb, Deformed
 from fenics_tfeti.models import isotropic, small_strain
 
+pytestmark = pytest.mark.once
+
 DEPTH = 1e-5
 
 

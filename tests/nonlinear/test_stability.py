@@ -10,6 +10,8 @@ from dolfinx.fem import petsc
 
 from fenics_tfeti.models import neo_hookean
 
+pytestmark = pytest.mark.once
+
 
 def is_told(scene):
     return any("the equilibrium is not stable" in text for text in scene.problem.report.to_check)

@@ -8,6 +8,8 @@ from finite_strains import indented_block, ironing
 
 from fenics_tfeti import Coulomb, InputError, NotConverged, Plane
 
+pytestmark = pytest.mark.once
+
 
 def test_easy_steps_are_lengthened():
     scene = indented_block(n=4)

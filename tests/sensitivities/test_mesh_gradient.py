@@ -38,6 +38,7 @@ def test_by_all_nodes(kind):
     assert slope == pytest.approx(along, rel=1e-7)
 
 
+@pytest.mark.once
 def test_pairs_of_nodes_stay_pairs():
     """Also those that are found without partners."""
     found, named = (blocks(n=3, m=3, partners=partners) for partners in (None, Nearest()))
@@ -47,6 +48,7 @@ def test_pairs_of_nodes_stay_pairs():
     assert gradient == pytest.approx(expected, rel=1e-9, abs=1e-9 * abs(expected).max())
 
 
+@pytest.mark.once
 def test_rows_that_depend_on_far_nodes(monkeypatch):
     """Supports that are too narrow are found out, and widened."""
     monkeypatch.setattr(row_supports, "_RINGS", 1)
@@ -54,6 +56,7 @@ def test_rows_that_depend_on_far_nodes(monkeypatch):
     assert slope == pytest.approx(along, rel=1e-7)
 
 
+@pytest.mark.once
 def test_derivatives_that_do_not_add_up(monkeypatch):
     monkeypatch.setattr(row_supports, "_SAME_SLOPE", -1.0)
     scene = block_on_roller()

@@ -260,6 +260,7 @@ def test_body_that_may_slide_is_solved_and_reported():
     np.testing.assert_allclose(normal_forces(problem), scene.total_forces, rtol=1e-6)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     "arguments",
     [

@@ -165,6 +165,7 @@ def mean_slip(divisions, a, material, mu, pressed, sheared):
     return np.sum(np.diff(x) * (slip[1:] + slip[:-1]) / 2) / (2 * a)
 
 
+@pytest.mark.once
 def test_closed_crack_that_slips():
     """K_I = 0, K_II = (tau - mu sigma) sqrt(pi a): mean slip pi a (tau - mu sigma) (1 - nu^2) / E.
 

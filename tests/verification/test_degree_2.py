@@ -97,6 +97,7 @@ def smooth_energy(kind, cell, n, degree):
     return -0.5 * fem.assemble_scalar(fem.form(load * uh[1] * ds))
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(("kind", "order"), [("contact", 1.5), ("tied", 2.0)])
 def test_order_in_the_energy_norm(kind, order):
     exact = smooth_energy(kind, "quadrilateral", 64, 2)

@@ -11,6 +11,8 @@ from dolfinx import fem
 
 from fenics_tfeti import ContactProblem
 
+pytestmark = pytest.mark.once
+
 WEIGHT = {"grains": 2600.0 * 9.81, "packing": 1.0}
 
 SCENES = {

@@ -10,6 +10,8 @@ from scenes import CLAMPED, LOADED, Scene, at
 
 from fenics_tfeti import Coulomb
 
+pytestmark = pytest.mark.once
+
 LENGTH, WIDTH, THICKNESS, LEAVES = 0.1, 0.02, 0.001, 3
 FORCE, COEFFICIENT = 30.0, 0.2
 

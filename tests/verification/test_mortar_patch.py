@@ -57,6 +57,7 @@ def check_resultants(problem, width):
     assert force == pytest.approx(PRESSURE * width ** (gdim - 1), rel=1e-10)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("cell", "degree", "exponent"),
     [
@@ -105,6 +106,7 @@ def test_axisymmetric(slave):
     assert problem.results[0].nodal_normal_force.sum() == pytest.approx(0.5 * PRESSURE)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("offset", "grid", "cell"),
     pairwise([0.0, 0.015, 0.03], [(8, 6), (12, 5)], ["triangle", "hexahedron"]),
@@ -136,6 +138,7 @@ def mean_around_corner(contact, low, area):
     return max(means)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("cell", "grid"), [("tetrahedron", (8, 6)), ("hexahedron", (6, 8)), ("hexahedron", (10, 12))]
 )
@@ -153,6 +156,7 @@ def test_pressure_at_sharp_corners_is_the_same_over_equal_areas(cell, grid):
     assert table == pytest.approx(foot, rel=0.06)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("cell", "grid"),
     [

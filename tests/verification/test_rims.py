@@ -16,6 +16,8 @@ from fenics_tfeti import Coulomb, Mortar, NonlinearContactProblem, UnresistedMot
 from fenics_tfeti.io import read_msh
 from fenics_tfeti.models import neo_hookean
 
+pytestmark = pytest.mark.once
+
 GROUND, LOADED, LOWER, UPPER = 1, 2, 10, 11
 
 

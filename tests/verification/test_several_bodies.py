@@ -14,7 +14,7 @@ from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, 
 from fenics_tfeti.models import isotropic, small_strain, symmetry_plane
 from fenics_tfeti.parallel import largest_of_ranks
 
-pytestmark = pytest.mark.ranks
+pytestmark = [pytest.mark.ranks, pytest.mark.once]
 
 BAR, LEFT, RIGHT, FLOOR, TOP, SIDE = 1, 2, 3, 4, 5, 6
 PRESSURE, YOUNG = 1e3, 1e6

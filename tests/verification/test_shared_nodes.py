@@ -23,7 +23,7 @@ from fenics_tfeti import (
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import isotropic, small_strain, symmetry_plane
 
-pytestmark = pytest.mark.ranks(1, 2, 3)
+pytestmark = [pytest.mark.ranks(1, 2, 3), pytest.mark.once]
 
 COMM = MPI.COMM_WORLD
 LEFT, LEFT_MASTER, RIGHT, RIGHT_MASTER, BASE, TOP, SIDE = 1, 2, 3, 4, 5, 6, 7

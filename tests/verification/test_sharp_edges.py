@@ -14,6 +14,8 @@ from fenics_tfeti.fem.contact.descriptions.partners import Nearest
 from fenics_tfeti.io import Box, boxes, displacement_space, piecewise_constant, tag_facets
 from fenics_tfeti.models import isotropic, neo_hookean, small_strain
 
+pytestmark = pytest.mark.once
+
 BOX, TABLE, FLOOR, TOP = 1, 2, 3, 4
 
 

@@ -92,6 +92,7 @@ def tightened(scene, force):
     return problem, problem.solve()
 
 
+@pytest.mark.once
 def test_load_on_a_tightened_bolt():
     """Tightened, locked, loaded: the share of the load that the bolt takes."""
     scene = flange()
@@ -186,6 +187,7 @@ def test_held_cut_does_not_turn():
         problem.solve()
 
 
+@pytest.mark.once
 def test_three_bolts():
     """Forces are exact all at once; one after the other, the first ones get looser."""
     scene = flange(3)

@@ -45,6 +45,7 @@ def test_any_strain(cell, degree):
     assert displacement_error(problem, uh, lambda x: x @ E.T) < 1e-9
 
 
+@pytest.mark.once
 def test_touching_grains():
     """A cell is one of the four of a larger cell."""
     E, law = np.array([[-1e-3, 3e-4], [3e-4, -6e-4]]), Coulomb(0.3)
@@ -61,6 +62,7 @@ def test_touching_grains():
         )
 
 
+@pytest.mark.once
 def test_sector_of_a_ring():
     """Pads between two rings: a sector of sixty degrees is a sixth of the whole."""
     sector, whole = ring(1, 6, law=Tresca(1e6)), ring(6, 6, law=Tresca(1e6))

@@ -109,6 +109,7 @@ def test_free_expansion_has_none():
 # -- the theorem -------------------------------------------------------------------------------
 
 
+@pytest.mark.once
 @pytest.mark.parametrize(
     ("name", "n", "cell"),
     [
@@ -173,6 +174,7 @@ TRUE_ERRORS = {
 }
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("case", TRUE_ERRORS, ids=lambda case: case[0])
 def test_is_about_the_true_error(case):
     name, n, degree, cell = case
@@ -247,6 +249,7 @@ def test_exact_gaps_of_small_displacements_are_as_others():
     assert exact.error == pytest.approx(linear.error, rel=1e-2)
 
 
+@pytest.mark.once
 @pytest.mark.parametrize("cell", ("triangle", "quadrilateral"))
 def test_springs_in_place_of_a_support(cell):
     """Stiff springs are as good as the support."""
