@@ -31,7 +31,7 @@ class Scene:
     """A problem with what a test changes and measures."""
 
     problem: NonlinearContactProblem
-    strain_energy: Any  # compiled form
+    strain_energy: Any  # form
     set_load: Callable[[float], None]  # a part of the load, 0 to 1
 
     @classmethod
@@ -54,13 +54,13 @@ class Scene:
             measure_weight=measure_weight,
             options=options,
         )
-        return cls(problem, fem.form(energy), set_load)
+        return cls(problem, energy, set_load)
 
     @property
     def energy(self) -> float:
         """The energy stored in the bodies [J]."""
         comm = self.problem.space.mesh.comm
-        return float(comm.allreduce(fem.assemble_scalar(self.strain_energy)))
+        return float(comm.allreduce(fem.assemble_scalar(fem.form(self.strain_energy))))
 
     def solve(self, loads: list[float]) -> None:
         """Solve and accept load steps."""
