@@ -30,14 +30,13 @@ def pressed(n, depth, round=True, cell="triangle", degree=1):
     below = Sphere((0.0, -2.0), 2.0) if round else Plane((0.0, 0.0), (0.0, 1.0))
     scene.add_obstacle(FOOT, below, name="joint")
     u = fem.Function(scene.V)
-    F = ufl.derivative(neo_hookean(1.0, 0.3)(u) * ufl.dx, u, scene.v)
+    F = ufl.derivative(neo_hookean(1.0, 0.3)(u) * ufl.dx(degree=2 * degree), u, scene.v)
     options = {"newton_rtol": 1e-10}
     problem = NonlinearContactProblem(F, u, bcs=scene.bcs, contacts=scene.contacts, options=options)
     return problem, scene
 
 
-@pytest.mark.parametrize("degree", [1, 2])
-@pytest.mark.parametrize("cell", ["triangle", "quadrilateral"])
+@pytest.mark.parametrize(("cell", "degree"), [("triangle", 2), ("quadrilateral", 1)])
 def test_homogeneous_strain_has_none(cell, degree):
     problem, _ = pressed(3, 0.3, round=False, cell=cell, degree=degree)
     problem.solve()

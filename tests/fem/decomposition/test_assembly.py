@@ -24,19 +24,28 @@ from fenics_tfeti.fem.topology import cell_facets
 COMM = MPI.COMM_WORLD
 
 
+def over(row: Row, cells: Any) -> Any:
+    """Return the measure of some cells, by a tag, so that all tests share their compiled forms."""
+    domain, cells = row.mesh, np.sort(cells)
+    ones = np.ones(cells.size, dtype="i4")
+    tags = mesh.meshtags(domain, domain.topology.dim, cells, ones)
+    return ufl.Measure("dx", domain, subdomain_data=tags)(1)
+
+
+def whole(row: Row) -> tuple[Any, Any]:
+    """Return the measures of all cells and of the tagged facets."""
+    return over(row, np.arange(row.middle.size, dtype="i4")), row.ds
+
+
 def alone(row: Row, part: Any, form: Any) -> Any:
     """Assemble a form by dolfinx on the whole mesh, integrated over the part's own cells."""
     domain, dim = row.mesh, row.mesh.topology.dim
-    cells = np.sort(part.cells)
-    dx = ufl.Measure(
-        "dx", domain, subdomain_data=mesh.meshtags(domain, dim, cells, np.full(cells.size, 1, "i4"))
-    )
-    own = np.isin(row.facet_tags.indices, cell_facets(domain)[cells])
+    own = np.isin(row.facet_tags.indices, cell_facets(domain)[part.cells])
     facets = row.facet_tags.indices[own], row.facet_tags.values[own]
     ds = ufl.Measure("ds", domain, subdomain_data=mesh.meshtags(domain, dim - 1, *facets))
     gdim = domain.geometry.dim
     dofs = gdim * part.nodes[:, None] + np.arange(gdim)
-    compiled = fem.form(form(dx(1), ds))
+    compiled = fem.form(form(over(row, part.cells), ds))
     if compiled.rank == 1:
         return fem.assemble_vector(compiled).array[dofs.ravel()]
     A = fem_petsc.assemble_matrix(compiled)
@@ -92,7 +101,8 @@ def material_that_repeats(row: Row) -> Any:
 def graded_by_place(row: Row) -> Any:
     x = ufl.SpatialCoordinate(row.mesh)
     u, v = ufl.TrialFunction(row.V), ufl.TestFunction(row.V)
-    return lambda dx, ds: elasticity(u, v, YOUNG * (1.0 + x[0]), dx)
+    young, far = (fem.Constant(row.mesh, value) for value in (YOUNG, 1.0))
+    return lambda dx, ds: elasticity(u, v, young * (far + x[0]), dx)
 
 
 def spring(tag: int) -> Any:
@@ -106,8 +116,8 @@ def spring(tag: int) -> Any:
 
 def springs_along_the_normal(row: Row) -> Any:
     u, v, n = ufl.TrialFunction(row.V), ufl.TestFunction(row.V), ufl.FacetNormal(row.mesh)
-    bulk = uniform(row)
-    return lambda dx, ds: bulk(dx, ds) + YOUNG * ufl.dot(u, n) * ufl.dot(v, n) * ds(LEFT)
+    bulk, stiffness = uniform(row), fem.Constant(row.mesh, YOUNG)
+    return lambda dx, ds: bulk(dx, ds) + stiffness * ufl.dot(u, n) * ufl.dot(v, n) * ds(LEFT)
 
 
 EQUAL, SECOND_DIFFERS, NONE = [0, 0, 0, 0], [0, 1, 0, 0], [0, 1, 2, 3]
@@ -131,14 +141,14 @@ def test_who_shares(name):
     change, expected = FORMS[name]
     row = row_of_boxes()
     form = change(row)
-    assert shared(assemble(row, form(row.dx, row.ds))) == expected
+    assert shared(assemble(row, form(*whole(row)))) == expected
 
 
 @pytest.mark.parametrize("name", FORMS)
 def test_each_is_what_dolfinx_assembles_there(name):
     row = row_of_boxes()
     form = FORMS[name][0](row)
-    for part, subdomain in zip(row.parts, assemble(row, form(row.dx, row.ds)), strict=True):
+    for part, subdomain in zip(row.parts, assemble(row, form(*whole(row))), strict=True):
         expected = alone(row, part, form)
         np.testing.assert_allclose(
             subdomain.stiffness.toarray(), expected, rtol=0, atol=1e-13 * np.abs(expected).max()
@@ -149,7 +159,7 @@ def test_each_is_what_dolfinx_assembles_there(name):
 def test_every_cell_is_shared(cell):
     row = row_of_boxes(cell)
     form = uniform(row)
-    subdomains = assemble(row, form(row.dx, row.ds))
+    subdomains = assemble(row, form(*whole(row)))
     assert shared(subdomains) == EQUAL
     expected = alone(row, row.parts[2], form)
     np.testing.assert_allclose(
@@ -159,7 +169,7 @@ def test_every_cell_is_shared(cell):
 
 def test_far_from_the_origin():
     row = row_of_boxes(far=1234.1)
-    assert shared(assemble(row, uniform(row)(row.dx, row.ds))) == EQUAL
+    assert shared(assemble(row, uniform(row)(*whole(row)))) == EQUAL
 
 
 def test_loads_are_each_one_s_own():
@@ -169,7 +179,7 @@ def test_loads_are_each_one_s_own():
     def load(dx: Any, ds: Any) -> Any:
         return x[0] * v[1] * dx + x[1] * v[0] * ds(LEFT)
 
-    subdomains = assemble(row, uniform(row)(row.dx, row.ds), load(row.dx, row.ds))
+    subdomains = assemble(row, uniform(row)(*whole(row)), load(*whole(row)))
     assert shared(subdomains) == EQUAL
     for part, subdomain in zip(row.parts, subdomains, strict=True):
         np.testing.assert_allclose(subdomain.load, alone(row, part, load), rtol=0, atol=1e-13)
@@ -178,14 +188,14 @@ def test_loads_are_each_one_s_own():
 def test_coordinates_and_nodes_are_each_one_s_own():
     row = row_of_boxes()
     places = row.V.tabulate_dof_coordinates()[:, :2]
-    for subdomain in assemble(row, uniform(row)(row.dx, row.ds)):
+    for subdomain in assemble(row, uniform(row)(*whole(row))):
         np.testing.assert_array_equal(subdomain.coordinates, places[subdomain.nodes])
 
 
 def test_new_loads_on_known_subdomains():
     row = row_of_boxes()
     v, load = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
-    forms = prepare_forms(row.V, uniform(row)(row.dx, row.ds), load * v[0] * row.dx)
+    forms = prepare_forms(row.V, uniform(row)(*whole(row)), load * v[0] * row.dx)
     known = forms.subdomains(row.parts)
     load.value = 3.0
     again = forms.subdomains(row.parts, known)
@@ -197,7 +207,7 @@ def test_new_loads_on_known_subdomains():
 def test_changed_constants_are_noticed():
     row = row_of_boxes()
     v, load = ufl.TestFunction(row.V), fem.Constant(row.mesh, 1.0)
-    forms = prepare_forms(row.V, uniform(row)(row.dx, row.ds), load * v[0] * row.dx)
+    forms = prepare_forms(row.V, uniform(row)(*whole(row)), load * v[0] * row.dx)
     before = forms.values()
     load.value = 3.0
     now = forms.values()
