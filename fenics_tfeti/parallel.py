@@ -124,11 +124,15 @@ def warn_on_first_rank(comm: MPI.Comm, *messages: str) -> None:
 
 def concatenate_ranks(comm: MPI.Intracomm, part: Array) -> Array:
     """Return the arrays of all ranks, concatenated in the order of ranks, on all ranks."""
+    if comm.size == 1:
+        return np.concatenate([part])
     return np.concatenate(comm.allgather(part))
 
 
 def concatenate_buffers(comm: MPI.Intracomm, *parts: Array) -> list[Array]:
     """Concatenate vectors of equal length and numeric type as `concatenate_ranks`, unpickled."""
+    if comm.size == 1:
+        return [part.copy() for part in parts]
     rows: Array = np.rec.fromarrays(parts)
     counts = np.empty(comm.size, dtype=np.int64)
     comm.Allgather(np.array([rows.size]), counts)
@@ -165,6 +169,8 @@ def count_over_ranks(comm: MPI.Intracomm, numbers: Numbers) -> int:
 
 def all_to_all(comm: MPI.Intracomm, messages: Sequence[T]) -> list[T]:
     """Send a message to each rank, uncopied to itself; return those that arrive, by rank."""
+    if comm.size == 1:
+        return list(messages)
     to_others = [None if rank == comm.rank else m for rank, m in enumerate(messages)]
     received = comm.alltoall(to_others)
     return [messages[rank] if rank == comm.rank else m for rank, m in enumerate(received)]
@@ -175,6 +181,8 @@ def send_rows(comm: MPI.Intracomm, ranks: Array, *columns: Array) -> tuple[Array
 
     Rows arrive in the order of the ranks that sent them, those of a rank in the order given.
     """
+    if comm.size == 1:
+        return columns
     received = all_to_all(comm, _by_rank(comm, ranks, columns)[0])
     return tuple(np.concatenate(column) for column in zip(*received, strict=True))
 

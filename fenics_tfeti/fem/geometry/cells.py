@@ -33,16 +33,17 @@ class MasterTree:
     """The pieces of a master's surface, to be found from the slave's."""
 
     def __init__(self, master: Facets) -> None:
-        self.facets, self.planes = master, Planes.of(master.coordinates())
+        self.facets, self.planes = master, master.planes
         self._tree = BoxTree(master.apart(master.pieces))
 
     def reach(self, slave: Facets, planes: Planes) -> Vector:
         """Return how far before and behind each piece (p,) the master is looked for [m]."""
-        master = self.facets
-        places = [master.apart(np.unique(master.pieces)), centres(master.apart(master.pieces))]
-        nodes, inverse = np.unique(slave.pieces, return_inverse=True)
-        distance = cKDTree(np.concatenate(places)).query(slave.apart(nodes))[0]
-        farthest = distance[inverse.reshape(slave.pieces.shape)].max(axis=1)
+        master, is_used = self.facets, np.zeros(len(self.facets.points), dtype=bool)
+        is_used[master.pieces] = True
+        places = [master.apart(np.flatnonzero(is_used)), centres(master.apart(master.pieces))]
+        points = slave.apart(np.arange(len(slave.points)))
+        distance = cKDTree(np.concatenate(places)).query(points)[0]
+        farthest = highest(distance[slave.pieces, None])[:, 0]
         return REACH * farthest + planes.diameter
 
     def candidates(

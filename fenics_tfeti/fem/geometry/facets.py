@@ -64,6 +64,17 @@ class Facets:
         v, t = self.number_of_corners, self.nodes.shape[1]
         return self.nodes if v == t else self.nodes[:, _PIECES[t]].reshape(-1, v)
 
+    @cached_property
+    def planes(self) -> Planes:
+        """The planes of the pieces."""
+        return Planes.of(self.coordinates())
+
+    @cached_property
+    def areas(self) -> Vector:
+        """The areas (f,), sums over pieces in their planes [m^2 or m]."""
+        areas: Vector = self.planes.area.reshape(len(self), self.per_facet).sum(axis=1)
+        return areas
+
     def coordinates(self, chosen: Numbers | None = None) -> Vector:
         """Return the coordinates (k, v, gdim) of the corners of all or of some pieces (k,)."""
         pieces = self.pieces if chosen is None else self.pieces[chosen]

@@ -56,7 +56,7 @@ def integrate(slave: Facets, master: Facets, weight: Vector | None = None) -> Fa
     facet are of the same points: constants and, on flat surfaces, linear functions are reproduced.
     The weight (f, v), by default 1, is linear between the corners of the slave's facets.
     """
-    planes, tree = Planes.of(slave.coordinates()), MasterTree(master)
+    planes, tree = slave.planes, MasterTree(master)
     reach, parts = tree.reach(slave, planes), []
     count = len(slave.pieces) if len(master) else 0
     # to bound the memory; all 1, 2 or 4 pieces of a facet are in the same block
@@ -64,6 +64,8 @@ def integrate(slave: Facets, master: Facets, weight: Vector | None = None) -> Fa
         chosen = np.arange(block.start, min(block.stop, count))
         cells = covering_cells(slave, planes, chosen, tree, reach)
         parts.append(_integrate_cells(cells, slave, planes, master, weight))
+    if len(parts) == 1:
+        return parts[0]
     first = np.cumsum([0, *(part.facet.size for part in parts)])
     columns: dict[str, Any] = {
         column.name: np.concatenate([getattr(part, column.name) for part in parts])
@@ -76,7 +78,7 @@ def integrate(slave: Facets, master: Facets, weight: Vector | None = None) -> Fa
 def integrate_alone(slave: Facets, weight: Vector | None = None) -> FacetIntegrals:
     """Integrate over whole facets, without a master: the surface takes its place."""
     x = slave.coordinates()
-    planes, piece = Planes.of(x), np.arange(len(x))
+    planes, piece = slave.planes, np.arange(len(x))
     flat = planes.project(piece, x)[..., :-1]
     if flat.shape[2] == 1:
         pair, corners, area = piece, flat, planes.area
@@ -92,8 +94,7 @@ def _integrate_cells(
 ) -> FacetIntegrals:
     slave_facet = cells.slave // slave.per_facet
     covered = np.bincount(slave_facet, cells.pair_area, len(slave))[slave_facet]
-    whole = planes.area.reshape(len(slave), slave.per_facet).sum(axis=1)[slave_facet]
-    rounding = 1e-11 * whole
+    rounding = 1e-11 * slave.areas[slave_facet]
     cells = cells.select_pairs(covered > rounding)
     slave_facet, master_facet = cells.slave // slave.per_facet, cells.master // master.per_facet
     facet, pair = np.unique(slave_facet, return_inverse=True)

@@ -121,6 +121,11 @@ class Face:
         return self.constraints.friction.within(self.rows)
 
     @cached_property
+    def directions(self) -> Vector:
+        """The unit vectors (k, gdim - 1) along the forces of sites; zero without force."""
+        return balls.directions(self.constraints.friction.at_sites(self.forces))
+
+    @cached_property
     def fixed(self) -> Vector:
         """The multipliers (m,) off the face: forces of the sites that slip."""
         friction = self.constraints.friction

@@ -9,6 +9,7 @@ prescribed displacements decide the slip has no row; the set of the other one is
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -113,12 +114,12 @@ class FrictionRows:
         """Number of sites that this rank holds."""
         return int(self.scale.size)
 
-    @property
+    @cached_property
     def present(self) -> Mask:
         """Which directions of each site have a row, (k, gdim - 1)."""
         return self.rows >= 0
 
-    @property
+    @cached_property
     def flat(self) -> Numbers:
         """The local positions of all rows."""
         return self.rows[self.present]

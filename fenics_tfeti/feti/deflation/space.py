@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 from mpi4py import MPI
@@ -185,9 +186,13 @@ class Deflation:
         y = np.where(constraints.equality, y, 0.0)
         owned = constraints.layout.owned
         own = self.X[: int(coarse_space.ends[-1])]
-        part = self.own.T @ y - own.T @ coarse_space.restrict_own(y)
+        part = self._own_transposed @ y - own.T @ coarse_space.restrict_own(y)
         part -= self.V.T @ (self.W[:owned].T @ y[:owned])
         return constraints.layout.space.sum_over_ranks(part)
+
+    @cached_property
+    def _own_transposed(self) -> sp.csc_matrix:
+        return self.own.T
 
     def _coefficients_of(self, forces: Vector) -> Vector:
         """Return (U'FU)^{-1} U'F x for packed forces B'x; one reduction."""

@@ -287,7 +287,7 @@ def close_first_gaps(problem: DualProblem, face: Face, gradient: Vector) -> Face
     """
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
-    along = balls.directions(friction.at_sites(face.forces))
+    along = face.directions
     slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
     active, sticking = face.active, face.sticking
     # where slip / bound exceeds 1e9 compliances the force keeps its direction on a face: rounding

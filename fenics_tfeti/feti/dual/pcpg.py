@@ -314,7 +314,7 @@ def friction_step(
     """
     friction = problem.constraints.friction
     sticking = face.sticking
-    along = balls.directions(friction.at_sites(face.forces))
+    along = face.directions
     slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
     step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
     back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
@@ -335,9 +335,10 @@ def _norms(
     force = problem.norm * multipliers[rows]
     wrong[rows] = np.minimum(np.where(face.active, force, gradient[rows]), 0.0)
     friction = problem.constraints.friction
-    forces = friction_step(problem, face, multipliers, gradient)
-    change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
-    wrong += friction.spread(change, wrong.size)
+    if friction.size:
+        forces = friction_step(problem, face, multipliers, gradient)
+        change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
+        wrong += friction.spread(change, wrong.size)
     residual = face.part(gradient + face.gradient_of_terms(multipliers))
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))

@@ -32,7 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.fem.geometry.facets import Facets, Planes
+from fenics_tfeti.fem.geometry.facets import Facets
 from fenics_tfeti.fem.geometry.integrals import FacetIntegrals
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -51,6 +51,30 @@ BARELY_COVERED = 0.4
 
 
 @dataclass(frozen=True)
+class Entries:
+    """The entries (k,) of a sparse matrix, by row and column."""
+
+    row: Numbers
+    column: Numbers
+    value: Vector
+    shape: tuple[int, int]
+
+    @staticmethod
+    def of(matrix: sp.spmatrix) -> Entries:
+        """Return those of a matrix."""
+        entries = matrix.tocoo()
+        return Entries(entries.row, entries.col, entries.data, entries.shape)
+
+    def matrix(self) -> sp.csr_matrix:
+        """Return the matrix."""
+        return sp.csr_matrix((self.value, (self.row, self.column)), shape=self.shape)
+
+    def sums(self) -> Vector:
+        """Return the sum of each row."""
+        return np.bincount(self.row, self.value, self.shape[0]).astype(np.float64, copy=False)
+
+
+@dataclass(frozen=True)
 class MortarMatrices:
     """D, M and the gaps of a slave's surface with n nodes and a master's with m nodes.
 
@@ -58,8 +82,8 @@ class MortarMatrices:
     (sum_j D_kj u_j - sum_l M_kl u_l) / area_k.
     """
 
-    D: sp.csr_matrix  # (n, n): integrals of psi_k N^s_j [m^2 or m]; see above
-    M: sp.csr_matrix  # (n, m): integrals of psi_k N^m_l
+    D: Entries  # (n, n): integrals of psi_k N^s_j [m^2 or m]; see above
+    M: Entries  # (n, m): integrals of psi_k N^m_l
     gap: Vector  # (n, gdim): integrals of psi_k times the vector from the slave to the master
     area: Vector  # (n,): integrals of psi_k, the sums of the rows of D and of M
 
@@ -78,9 +102,9 @@ def mortar_matrices(
     master_products = np.matmul(psi[integrals.pair], integrals.coupling)
     nodal_gaps = np.matmul(psi, integrals.gap).reshape(corners.size, slave.points.shape[1])
     gap = np.stack([_sums(corners, part, n) for part in nodal_gaps.T], axis=1)
-    D = _assemble(slave_products, corners, slave.nodes[integrals.facet], (n, n))
-    M = _assemble(master_products, corners[integrals.pair], master.nodes[integrals.master], (n, m))
-    return MortarMatrices(D, M, gap, np.asarray(D.sum(axis=1)).ravel())
+    D = _summed(slave_products, corners, slave.nodes[integrals.facet], (n, n))
+    M = _summed(master_products, corners[integrals.pair], master.nodes[integrals.master], (n, m))
+    return MortarMatrices(D, M, gap, D.sums())
 
 
 def multiplier_shares(support: Vector, least: Vector, free: Mask, pairs: Numbers) -> sp.csc_matrix:
@@ -112,7 +136,7 @@ def multiplier_shares(support: Vector, least: Vector, free: Mask, pairs: Numbers
 def covered_shares(slave: Facets, integrals: FacetIntegrals) -> Vector:
     """Return the share (f,) of each slave facet that is covered."""
     shares = np.zeros(len(slave))
-    shares[integrals.facet] = integrals.covered / _areas(slave)[integrals.facet]
+    shares[integrals.facet] = integrals.covered / slave.areas[integrals.facet]
     return shares
 
 
@@ -127,7 +151,7 @@ def node_sums(integrals: FacetIntegrals, slave: Facets) -> Vector:
     # int N_j^2 / int N_j of a whole segment, triangle, parallelogram
     whole = {2: 2 / 3, 3: 1 / 2, 4: 4 / 9}[v]
     squares = np.einsum("cjj->cj", integrals.mass) / whole
-    columns = [_sums(slave.corners, np.repeat(_areas(slave) / v, v), n)]
+    columns = [_sums(slave.corners, np.repeat(slave.areas / v, v), n)]
     columns += [_sums(covered, part, n) for part in (integrals.share, squares, integrals.ones)]
     return np.column_stack(columns)
 
@@ -153,7 +177,7 @@ def dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Ve
     """Return A (c, v, v) of psi_j = sum_i A_ji N_i, and the integrals (c, v, t) of psi_j N^s_i."""
     v = integrals.ones.shape[1]
     # a narrow strip may cross the facet anywhere: the functions are the shape functions then
-    narrow = integrals.covered <= 1e-4 * _areas(slave)[integrals.facet]
+    narrow = integrals.covered <= 1e-4 * slave.areas[integrals.facet]
     dual = np.tile(np.eye(v), (narrow.size, 1, 1))
     ones = integrals.ones[~narrow]
     # P: the integrals of the small facet's functions times their values in the corners of the facet
@@ -170,28 +194,19 @@ def dual_functions(integrals: FacetIntegrals, slave: Facets) -> tuple[Vector, Ve
     return dual, products
 
 
-def _areas(slave: Facets) -> Vector:
-    """Return the areas (f,) of the facets, sums over their pieces [m^2 or m]."""
-    pieces = Planes.of(slave.coordinates()).area.reshape(len(slave), slave.per_facet)
-    return pieces.sum(axis=1)
-
-
-def _assemble(
-    values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]
-) -> sp.csr_matrix:
+def _summed(values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, int]) -> Entries:
     """Sum blocks (c, v, w) of rows (c, v) and columns (c, w); without what is rounding of zeros.
 
     Without it, a node of flat surfaces with matching meshes is coupled with the one opposite alone.
     """
-    # the type of SciPy's indices, of which there are many more than rows and columns
-    row = np.repeat(rows.astype(np.int32), columns.shape[1])
-    column = np.tile(columns.astype(np.int32), rows.shape[1]).ravel()
-    matrix = sp.coo_matrix((values.ravel(), (row, column)), shape=shape).tocsr()
-    filled = np.flatnonzero(np.diff(matrix.indptr))
-    if filled.size:
-        size = np.abs(matrix.data)
-        largest = np.maximum.reduceat(size, matrix.indptr[filled])
-        rounding = 1e-13 * np.repeat(largest, np.diff(matrix.indptr)[filled])
-        matrix.data[size <= rounding] = 0.0
-    matrix.eliminate_zeros()
-    return matrix
+    key = (rows[:, :, None] * shape[1] + columns[:, None, :]).ravel()
+    place, entry = np.unique(key, return_inverse=True)
+    value = np.bincount(entry, values.ravel(), place.size).astype(np.float64, copy=False)
+    row, column = np.divmod(place, shape[1])
+    first = np.flatnonzero(np.diff(row, prepend=-1))
+    size = np.abs(value)
+    if first.size:
+        largest = np.maximum.reduceat(size, first)
+        kept = size > 1e-13 * np.repeat(largest, np.diff(first, append=row.size))
+        row, column, value = row[kept], column[kept], value[kept]
+    return Entries(row, column, value, shape)

@@ -23,6 +23,7 @@ from fenics_tfeti.fem.contact.conditions.mortar_matrices import (
     BARELY_COVERED,
     BARELY_SUPPORTED,
     HARDLY_SUPPORTED,
+    Entries,
     coverage_and_support,
     covered_shares,
     mortar_matrices,
@@ -38,6 +39,7 @@ from fenics_tfeti.fem.geometry.normals import chord_heights
 from fenics_tfeti.fem.geometry.vectors import angles_between, unit
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
+from fenics_tfeti.feti.system import sum_by_row
 from fenics_tfeti.parallel import concatenate_buffers, positions
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -106,10 +108,10 @@ def one_sided_conditions(surface: Surface, slave: SurfaceFacets, chosen: Mask) -
     """
     facets = Facets(slave.points, slave.facets.nodes[chosen])
     weight = None if slave.weight is None else slave.weight[facets.corners]
-    D = mortar_matrices(integrate_alone(facets, weight), facets, facets).D.tocoo()
-    row, column = slave.nodes[D.row], slave.nodes[D.col]
-    all_nodes, on_slave = surface.boundary.nodes, np.ones(D.nnz, dtype=bool)
-    return collect_terms(all_nodes, row, column, D.data, on_slave)
+    D = mortar_matrices(integrate_alone(facets, weight), facets, facets).D
+    row, column = slave.nodes[D.row], slave.nodes[D.column]
+    all_nodes, on_slave = surface.boundary.nodes, np.ones(D.value.size, dtype=bool)
+    return collect_terms(all_nodes, row, column, D.value, on_slave)
 
 
 def _conditions(
@@ -131,20 +133,25 @@ def _conditions(
     least = all_nodes.values_at(limits, slave.nodes)
     corners = slave.nodes[slave.facets.corners[integrals.facet]]
     nodes, S = _shares(all_nodes, corners, slave.nodes, support, least, free, slave.nodes)
-    D, M = (S @ matrices.D).tocoo(), (S @ matrices.M).tocoo()
+    D, M = matrices.D, matrices.M
+    # at a rim the row's normal is that of the place that the row speaks of
+    corner_normals = slave.from_corners(slave.normal)
+    normal = sum_by_row(D.row, D.value[:, None] * corner_normals[D.column], D.shape[0])
+    integrated = np.column_stack([normal, matrices.gap, matrices.area])
+    if S is not None:
+        D, M = (Entries.of(S @ part.matrix()) for part in (D, M))
+        integrated = S @ integrated
     terms = collect_terms(
         all_nodes,
-        np.concatenate([nodes[D.row], nodes[M.row]]),
-        np.concatenate([slave.nodes[D.col], master.nodes[M.col]]),
-        np.concatenate([D.data, -M.data]),
-        np.repeat([True, False], [D.nnz, M.nnz]),
+        nodes[np.concatenate([D.row, M.row])],
+        np.concatenate([slave.nodes[D.column], master.nodes[M.column]]),
+        np.concatenate([D.value, -M.value]),
+        np.repeat([True, False], [D.value.size, M.value.size]),
     )
     own = terms.slave - all_nodes.first
-    # at a rim the row's normal is that of the place that the row speaks of
-    normal = matrices.D @ slave.from_corners(slave.normal)
-    integrated = S @ np.column_stack([normal, matrices.gap, matrices.area])
     means = all_nodes.reduce_at_owners(nodes, integrated)[own]
-    normal, gap, area = np.split(means, np.cumsum(2 * [normal.shape[1]]), axis=1)
+    gdim = normal.shape[1]
+    normal, gap, area = means[:, :gdim], means[:, gdim : 2 * gdim], means[:, 2 * gdim :]
     facets = np.zeros(len(slave.facets), dtype=bool)
     facets[integrals.facet] = True
     shares = partial(_pressure_shares, all_nodes, corners, slave.nodes, coverage, terms.slave)
@@ -186,6 +193,8 @@ def _pressure_shares(
     """
     least, free = np.full(nodes.size, BARELY_COVERED), np.zeros(nodes.size, dtype=bool)
     taking, S = _shares(all_nodes, corners, nodes, coverage, least, free, of)
+    if S is None:
+        S = sp.identity(of.size, format="csr")
     entries = S.T.tocsr()
     columns = taking[entries.indices]
     return sp.csr_matrix((entries.data, columns, entries.indptr), (of.size, all_nodes.total))
@@ -199,8 +208,10 @@ def _shares(
     least: Vector,
     free: Mask,
     of: Numbers,
-) -> tuple[Numbers, sp.csr_matrix]:
+) -> tuple[Numbers, sp.csr_matrix | None]:
     """Return nodes (r,) and their `multiplier_shares` (r, q) in functions `of` nodes. Collective.
+
+    The shares are None where all nodes keep their functions.
 
     This rank's covered facets have the corners (c, v); the values (n,) are at the slave's nodes
     around its facets, alike on all ranks. All nodes have global numbers.
@@ -214,6 +225,8 @@ def _shares(
         all_nodes.comm,
         *(column[rows] for column in (nodes, support, least, free) for rows in (j, k)),
     )
+    if not columns[0].size:
+        return of, None
     at_ends, support, least, free = (np.concatenate(columns[k : k + 2]) for k in range(0, 8, 2))
     # on all ranks those without a multiplier and their neighbours
     sharing, first, inverse = np.unique(at_ends, return_index=True, return_inverse=True)

@@ -26,7 +26,8 @@ def assemble(slave, master, weight=None):
     matrices = mortar_matrices(integrals, slave, master)
     shares = shares_of(slave, integrals)
     D, M, gap, area = (
-        shares @ part for part in (matrices.D, matrices.M, matrices.gap, matrices.area)
+        shares @ part
+        for part in (matrices.D.matrix(), matrices.M.matrix(), matrices.gap, matrices.area)
     )
     return MortarMatrices(D, M, gap, area), integrals, shares.getnnz(axis=1) > 0
 
