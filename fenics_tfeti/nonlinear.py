@@ -417,7 +417,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             state.multipliers,
             state.internal,
             state.nodal_displacement,
-            iteration.solution,
+            iteration.described_solution(),
         )
         contact_set = state.rows.contact_set
         self._store(solution, contact_set, state.bodies, is_last, newton=list(iteration.steps))

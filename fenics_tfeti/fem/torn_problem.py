@@ -38,7 +38,7 @@ from fenics_tfeti.fem.displacement import (
     prescribed_values,
 )
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.feti import Friction, Subdomain, Timer, TornSystem
+from fenics_tfeti.feti import ContactRows, Friction, Prescribed, Subdomain, Timer, TornSystem
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Vector
 
@@ -196,20 +196,36 @@ class TornProblem:
     def system(self, origin: SlipOrigin, contact_set: ContactSet | None = None) -> TornSystem:
         """Return the torn system, with slip counted from its origin. Collective."""
         contact_set = contact_set or self.undeformed
-        return self.system_of(contact_set, contact_set.friction_rows(origin))
-
-    def system_of(self, contact_set: ContactSet, friction: Friction) -> TornSystem:
-        """Return the torn system with contacts and friction. Collective."""
-        return TornSystem(
-            [*self.torn.subdomains, *contact_set.added_subdomains(self.bodies.deformable)],
+        subdomains = contact_set.added_subdomains(self.bodies.deformable)
+        return self.system_of(
+            contact_set,
+            [*self.torn.subdomains, *subdomains],
             contact_set.prescribed,
             contact_set.rows(),
+            contact_set.tied_rows(),
+            contact_set.friction_rows(origin),
+        )
+
+    def system_of(
+        self,
+        contact_set: ContactSet,
+        subdomains: Sequence[Subdomain],
+        prescribed: Prescribed,
+        contacts: ContactRows,
+        tied: ContactRows,
+        friction: Friction,
+    ) -> TornSystem:
+        """Return the torn system of subdomains and rows, with the names of bodies and contacts."""
+        return TornSystem(
+            subdomains,
+            prescribed,
+            contacts,
             self.space.mesh.geometry.dim,
             [*self.bodies.names[: self.bodies.deformable], *contact_set.added_names],
             contact_set.names,
             self.nodes.comm,
             [f"Dirichlet condition {i}" for i in range(len(self.bcs))],
-            contact_set.tied_rows(),
+            tied,
             friction,
         )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -138,6 +139,7 @@ class NewtonIteration:
         self._load_case, self._options, self._timer = load_case, options, timer
         self.solver = last
         self.steps: list[NewtonStep] = []
+        self._find_free_motions: Callable[[], list[str]] | None = None  # of the last solution
         self._increment = Function(load_case.torn.space)
         self._frozen: FrozenSetup | None = None
         self._spent = Spent()
@@ -158,6 +160,14 @@ class NewtonIteration:
             if self._is_converged(state):
                 return
         raise NotConverged(self._not_converged(state))
+
+    def described_solution(self) -> TornSolution:
+        """Return the last solution, with the motions that nothing resists. Collective."""
+        if self._find_free_motions is not None:
+            report = replace(self.solution.report, free_motions=self._find_free_motions())
+            self.solution = replace(self.solution, report=report)
+            self._find_free_motions = None
+        return self.solution
 
     def _report(self, monitor: Monitor | None) -> None:
         """Pass the last step on to the user."""
@@ -314,6 +324,7 @@ class NewtonIteration:
         solver = replace(options.solver, error_if_not_converged=False)
         self.solver = TornSolver(prepared, solver, self._timer, self.solver)
         self.solution = solution = self.solver.solve(monitor)
+        self._find_free_motions = None
         self._spent.products += solution.report.products["total"]
         if not (is_last or solution.report.converged):
             return None
@@ -351,9 +362,9 @@ class NewtonIteration:
             is_far = state.equilibrium.residual > _FAR
             if tangent == "projected" and is_far and not self._follows_path:
                 corrected = corrected.downhill()
-        free = describe_free_motions(system, solution.active, solution.sticking)
-        report = replace(solution.report, free_motions=free)
-        self.solution = replace(solution, report=report)
+        self._find_free_motions = partial(
+            describe_free_motions, system, solution.active, solution.sticking
+        )
         return LinearisedStep(face, corrected, solution)
 
     def _shortened(
@@ -421,8 +432,8 @@ class NewtonIteration:
         return f"; surfaces are farthest from touching at {names[worst]}" if misfit.any() else ""
 
     def _free(self) -> str:
-        """Say which motions nothing resists, if there are any."""
-        motions = first_few(self.solution.report.free_motions, 3, "free motions")
+        """Say which motions nothing resists, if there are any. Collective."""
+        motions = first_few(self.described_solution().report.free_motions, 3, "free motions")
         if not motions:
             return ""
         return f"hold what supports and pressing contacts leave free ({'; '.join(motions)}): "

@@ -154,13 +154,9 @@ class LoadCase:
         subdomains += contacts.added_subdomains(torn.bodies.deformable)
         local = nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]
-        return replace(
-            torn.system_of(contacts, face.friction),
-            subdomains=subdomains,
-            prescribed=replace(prescribed, values=increment),
-            contacts=face.contacts,
-            tied=face.rows.tied,
-        )
+        prescribed = replace(prescribed, values=increment)
+        rows = face.contacts, face.rows.tied, face.friction
+        return torn.system_of(contacts, subdomains, prescribed, *rows)
 
     def at_free(self, force: Vector, rows: DeformedRows) -> Vector:
         """Return nodal forces (owned, gdim), zero where displacements are prescribed [N]."""
