@@ -158,9 +158,13 @@ class ContactNodes(NodeMap):
     that owns the node.
     """
 
+    originals: Numbers
+    contact: Numbers
+
     def __init__(self, nodes: NodeMap, local: Indices, contact: Numbers) -> None:
         """Find the nodes of facets (f, t), with local numbers, of contacts (f,). Collective."""
         self.space, self.components, self.comm = nodes.space, nodes.components, nodes.comm
+        self._size = nodes.size
         number = nodes.to_global(local)
         keys, inverse = np.unique(contact[:, None] * nodes.total + number, return_inverse=True)
         original = np.zeros(keys.size, dtype=np.int64)
@@ -183,3 +187,8 @@ class ContactNodes(NodeMap):
         own = own_keys % nodes.total - nodes.first
         self.originals = np.concatenate([own, original[of_ghosts]])
         self.contact = np.concatenate([own_keys, keys[of_ghosts]]) // nodes.total
+
+    def copies(self, contact: Numbers, original: Numbers) -> Numbers:
+        """Return the numbers of owned nodes (k,) in contacts (k,), by their local numbers."""
+        keys = self.contact[: self.owned] * self._size + self.originals[: self.owned]
+        return self.first + np.searchsorted(keys, contact * self._size + original)

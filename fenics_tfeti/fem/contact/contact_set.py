@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from mpi4py import MPI
 
@@ -17,7 +18,12 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     SlaveValues,
     contact_rows,
 )
-from fenics_tfeti.fem.contact.conditions.deformed import DeformedContact, deformed_contacts
+from fenics_tfeti.fem.contact.conditions.deformed import (
+    DeformedContact,
+    MortarsByNormals,
+    deformed_contacts,
+    mortars_by_normals,
+)
 from fenics_tfeti.fem.contact.conditions.friction import (
     NodalFriction,
     SlipOrigin,
@@ -332,7 +338,7 @@ class ContactSet:
         # rows of small strains act on undeformed bodies, which given normals leave free to turn
         is_finite = bodies.from_here
         measured = deformed_contacts(
-            list(zip(at_bodies, all_conditions, strict=True)), uh, is_finite
+            list(zip(at_bodies, all_conditions, strict=True)), uh, is_finite, self._mortars
         )
         for found, new in zip(self.contacts, measured, strict=True):
             found = replace(found, conditions=new.conditions)
@@ -340,6 +346,11 @@ class ContactSet:
                 found = self._on_body(found, bodies.frame_of(found.body), uh)
             contacts.append(found)
         return replace(self, contacts=contacts, bodies=bodies), measured
+
+    @cached_property
+    def _mortars(self) -> MortarsByNormals:
+        """The joined surfaces of mortar conditions. The first time collective."""
+        return mortars_by_normals([(found.contact, found.conditions) for found in self.contacts])
 
     def _on_body(self, found: FoundContact, frame: BodyFrame, uh: Function) -> FoundContact:
         """Return a contact with a gap in terms of all of its body's motion. Collective."""

@@ -141,6 +141,10 @@ class PressureShares:
         """The shares (k, n). The first time collective."""
         return self.make()
 
+    def rows(self, begin: int, end: int) -> sp.csr_matrix:
+        """Return some of the rows. The first time collective."""
+        return self.matrix[begin:end]
+
 
 @dataclass(frozen=True)
 class Conditions:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,11 +19,9 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
-from fenics_tfeti.fem.contact.conditions.mortars import mortar_conditions
 from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_surface
-from fenics_tfeti.fem.contact.conditions.surface_pairs import check_weight
+from fenics_tfeti.fem.contact.conditions.surface_pairs import MortarPairs
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, gather_surfaces
@@ -31,6 +30,9 @@ from fenics_tfeti.fem.geometry.faceted import FacetedSurface
 from fenics_tfeti.fem.geometry.vectors import tangential_part
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Numbers, Vector
+
+# joined pairs with the positions of their contacts among all of them
+MortarsByNormals: TypeAlias = list[tuple[MortarPairs, list[int]]]
 
 
 @dataclass(frozen=True)
@@ -97,12 +99,14 @@ def deformed_contacts(
     contacts: Sequence[tuple[Contact, ContactConditions]],
     displacement: Function,
     turns_normals: bool = True,
+    mortars: MortarsByNormals | None = None,
 ) -> list[DeformedContact]:
     """Measure normals, gaps and penetration in the deformed state; update ghosts. Collective.
 
     The normal at a node is the integral of the deformed facets' normal times the node's shape
     function, or the user's, turned with the facets or as it is. The gap to a master is along it,
-    see `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns.
+    see `FacetedSurface.gap_along`; that to an obstacle is what the obstacle returns. The joined
+    surfaces of mortar conditions may be known.
     """
     with raise_collectively(displacement.function_space.mesh.comm):
         if not np.isfinite(owned_values(displacement)).all():
@@ -111,6 +115,16 @@ def deformed_contacts(
     if not contacts:
         return []
     boundary = contacts[0][1].surface.boundary.deformed(displacement)
+    normals = [
+        _user_normal(contact, conditions.surface, boundary, turns_normals)
+        for contact, conditions in contacts
+    ]
+    found = dict[int, tuple[ContactConditions, Vector]]()
+    for joined, members in mortars_by_normals(contacts) if mortars is None else mortars:
+        before = [contacts[k][1] for k in members]
+        user_normals = [x for x in (normals[k] for k in members) if x is not None] or None
+        for k, new in zip(members, joined.at(boundary, before, user_normals), strict=True):
+            found[k] = new, np.maximum(-new.gap, 0.0)
     # what all ranks need the whole of
     needed = [
         [] if conditions.is_mortar else [surface.on(boundary) for surface in conditions.surfaces]
@@ -119,13 +133,9 @@ def deformed_contacts(
     gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces]))
     u = boundary.nodes.values(displacement)
     measured = []
-    for (contact, conditions), surfaces in zip(contacts, needed, strict=True):
-        surface = conditions.surface
-        if isinstance(contact, ContactPair) and contact.normal is not None and turns_normals:
-            rotations = SurfaceRotations.of(surface, boundary)
-            surface = replace(surface, normal=rotations.turned(surface.normal))
-        whole = [next(gathered) for _ in surfaces]
-        new, depth = _deformed(contact, conditions, surface.normal, whole, boundary)
+    for k, ((contact, conditions), surfaces) in enumerate(zip(contacts, needed, strict=True)):
+        surface, whole = conditions.surface, [next(gathered) for _ in surfaces]
+        new, depth = found.get(k) or _deformed(contact, conditions, normals[k], whole, boundary)
         moved = np.sum(new.relative(u) * new.normal, axis=1)
         distance, depth, gap = map(surface.without_rounding, (new.gap, depth, new.gap + moved))
         total = replace(new, gap=gap, made_on=boundary)
@@ -133,31 +143,56 @@ def deformed_contacts(
     return measured
 
 
+def mortars_by_normals(
+    contacts: Sequence[tuple[Contact, ContactConditions]],
+) -> MortarsByNormals:
+    """Join the surfaces of mortar conditions, without and with normals of the user. Collective.
+
+    With them are the positions of the contacts.
+    """
+    joined = []
+    for has_normal in (False, True):
+        pairs = {
+            k: (contact, conditions)
+            for k, (contact, conditions) in enumerate(contacts)
+            if isinstance(contact, ContactPair)
+            and conditions.is_mortar
+            and (contact.normal is not None) == has_normal
+        }
+        if pairs:
+            joined.append((MortarPairs.of([*pairs.values()]), [*pairs]))
+    return joined
+
+
+def _user_normal(
+    contact: Contact, surface: Surface, boundary: MeshBoundary, turns: bool
+) -> Vector | None:
+    """Return the user's normals (k, gdim) on a deformed boundary, if there are any. Collective."""
+    if not isinstance(contact, ContactPair) or contact.normal is None:
+        return None
+    if not turns:
+        return surface.normal
+    return SurfaceRotations.of(surface, boundary).turned(surface.normal)
+
+
 def _deformed(
     contact: Contact,
     conditions: ContactConditions,
-    user_normal: Vector,
+    user_normal: Vector | None,
     surfaces: Sequence[SurfaceFacets],
     boundary: MeshBoundary,
 ) -> tuple[ContactConditions, Vector]:
-    """Return the new conditions of a contact, and depths of penetration there. Collective.
+    """Return new conditions node by node, and depths of penetration there. Collective.
 
-    They are made with its whole deformed surfaces; none for mortars. Where the user has given
-    normals, they are those (k, gdim) at the nodes of the surface. The gaps are distances of the
-    deformed surfaces.
+    They are made with the whole deformed surfaces. The gaps are distances of these.
     """
-    if conditions.is_mortar:
-        assert isinstance(contact, ContactPair)
-        new = _deformed_mortar(contact, conditions, user_normal, boundary)
-        return new, np.maximum(-new.gap, 0.0)
     if isinstance(contact, RigidObstacle):
         surface = deformed_surface(conditions.surface, surfaces[0], boundary)
         found = conditions_at_obstacle(surface, contact.obstacle)
         parts = vars(found) | {"coverage": np.ones_like(found.gap)}
         new = replace(conditions, **parts)
         return new, np.maximum(-new.gap, 0.0)
-    assert isinstance(contact, ContactPair)
-    if contact.normal is not None:
+    if user_normal is not None:
         surface = conditions.surface.on(boundary, user_normal)
     else:
         surface = deformed_surface(conditions.surface, surfaces[0], boundary)
@@ -183,39 +218,3 @@ def _deformed_pairs(
     area = surface.areas(conditions.covered)[conditions.on_surface]
     new = replace(conditions, terms=terms, normal=normal, gap=distance, area=area)
     return new, np.maximum(-signed, 0.0)
-
-
-def _deformed_mortar(
-    contact: ContactPair, conditions: ContactConditions, user_normal: Vector, boundary: MeshBoundary
-) -> ContactConditions:
-    name, prescribed = conditions.name, conditions.prescribed
-    surface, tagged_master = (surface.on(boundary) for surface in conditions.surfaces)
-    assert prescribed is not None
-    slave, master = (gather_nearby(other, surface) for other in (surface, tagged_master))
-    with raise_collectively(surface.comm):
-        if contact.normal is None:
-            slave.check_not_folded(name)
-            surface = _with_normals(surface, slave)
-        master.check_not_folded(name)
-    if contact.normal is not None:
-        surface = replace(surface, normal=user_normal)
-    shared = np.intersect1d(slave.nodes, master.nodes)
-    given = contact.normal is not None
-    new = mortar_conditions(surface, master, shared, prescribed, conditions.slave, given)
-    check_weight(new, conditions.surface)
-    return replace(
-        conditions,
-        terms=new.terms,
-        normal=new.normal,
-        gap=np.sum(new.gap * new.normal, axis=1),
-        area=new.area,
-        covered=new.covered,
-        coverage=new.coverage,
-        shares=new.shares,
-    )
-
-
-def _with_normals(surface: Surface, facets: SurfaceFacets) -> Surface:
-    """Return a surface with the normals of all facets around its nodes."""
-    rows = np.searchsorted(facets.nodes, surface.nodes)
-    return replace(surface, normal=facets.normal[rows])

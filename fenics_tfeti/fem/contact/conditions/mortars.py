@@ -6,7 +6,7 @@ them. The contributions of the facets are summed at the owners of the slave's no
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import permutations
 
@@ -40,34 +40,56 @@ from fenics_tfeti.fem.geometry.vectors import angles_between, unit
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import sum_by_row
-from fenics_tfeti.parallel import concatenate_buffers, positions
+from fenics_tfeti.parallel import any_rank, concatenate_buffers, positions
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class NodesWithoutConditions:
+    """Where supports, and nodes of both surfaces, leave a slave no conditions, wherever it is."""
+
+    prescribed: Mask  # (k, gdim): components prescribed at the surface's nodes of this rank
+    anywhere: bool  # whether a component is prescribed on any rank
+    # at the nodes of the surface's `part` (n, ...)
+    held: Mask  # (n, gdim): see `_held_by_supports`
+    shared: Mask  # (n,): nodes of both surfaces
+
+    @staticmethod
+    def of(surface: Surface, shared: Numbers, prescribed: Mask) -> NodesWithoutConditions:
+        """Find them with the nodes (s,) of both surfaces, of all ranks. Collective."""
+        slave = surface.part()
+        return NodesWithoutConditions(
+            prescribed,
+            any_rank(surface.comm, prescribed),
+            _held_by_supports(surface, slave, prescribed),
+            np.isin(slave.nodes, shared),
+        )
 
 
 def mortar_conditions(
     surface: Surface,
     master: SurfaceFacets,
-    shared: Numbers,
-    prescribed: Mask,
+    without: NodesWithoutConditions,
     before: Numbers,
     has_user_normals: bool,
 ) -> Conditions:
     """Integrate over the slave's facets and sum up at the owners of its nodes. Collective.
 
     The slave's facets are those of this rank, of the master those near them. Normals are those of
-    the facets that are covered, if not the user's. No condition have nodes of both surfaces,
-    `shared`, and those that their supports hold along the normal, see `_held_by_supports`. Nodes of
-    this rank that had conditions `before` keep them longer than others.
+    the facets that are covered, if not the user's. No condition have nodes of both surfaces, and
+    those that their supports hold along the normal. Nodes of this rank that had conditions `before`
+    keep them longer than others.
     """
     slave = surface.oriented_part()
     integrals = integrate(slave.facets, master.facets, slave.corner_weight)
     if not has_user_normals:
         surface = surface.with_normals_of(covered_shares(slave.facets, integrals))
-        surface = replace(surface, normal=normals_in_symmetry_planes(surface, prescribed))
+        if without.anywhere:
+            normal = normals_in_symmetry_planes(surface, without.prescribed)
+            surface = replace(surface, normal=normal)
         slave = replace(slave, vertex_normals=surface.normals_at(slave.nodes))
     along = np.abs(slave.normal) > RELATIVE_ROUNDING
-    held = (_held_by_supports(surface, slave, prescribed) | ~along).all(axis=1)
-    free = held | np.isin(slave.nodes, shared)
+    free = (without.held | ~along).all(axis=1) | without.shared
     return _conditions(surface, slave, master, integrals, free, before)
 
 

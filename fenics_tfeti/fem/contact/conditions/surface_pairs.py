@@ -7,7 +7,7 @@ each pair, see `ContactNodes`: what is found for one pair of surfaces is found f
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise, product
 from typing import Any, TypeAlias
@@ -24,7 +24,7 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     JoinedPairs,
     PressureShares,
 )
-from fenics_tfeti.fem.contact.conditions.mortars import mortar_conditions
+from fenics_tfeti.fem.contact.conditions.mortars import NodesWithoutConditions, mortar_conditions
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
 from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
@@ -44,9 +44,9 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
 from fenics_tfeti.fem.geometry.integrals import integrate
 from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.geometry.vectors import unit
-from fenics_tfeti.fem.nodes import ContactNodes
+from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.fem.user_data import scalars_at
-from fenics_tfeti.parallel import largest_of_groups
+from fenics_tfeti.parallel import concatenate_ranks, largest_of_groups, raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 NamedPair: TypeAlias = tuple[str, ContactPair]
@@ -156,9 +156,9 @@ def _matched(
         found = match_nodes(pairs, how)
     else:
         prescribed = slave.boundary.nodes.copied(fixed)[slave.local]
-        shared, none = shared_nodes(pairs, master.nodes), np.zeros(0, dtype=np.int64)
-        given = contacts[0].normal is not None
-        found = mortar_conditions(slave, master, shared, prescribed, none, given)
+        without = NodesWithoutConditions.of(slave, shared_nodes(pairs, master.nodes), prescribed)
+        given, none = contacts[0].normal is not None, np.zeros(0, dtype=np.int64)
+        found = mortar_conditions(slave, master, without, none, given)
         check_weight(found, slave)
     return dict(zip(parts, _conditions_of_parts(boundary, pairs, found, prescribed), strict=True))
 
@@ -170,20 +170,93 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
     every = [*sides[0], *sides[1]]
     sizes = [part.size for part in every]
     facets = oriented_facets(boundary.space, np.concatenate(every))
-    nodes = ContactNodes(
-        boundary.nodes, facets, np.repeat(np.arange(len(every)) % len(names), sizes)
-    )
-    joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
+    joined, of_sides = _joined_boundary(boundary, facets, sizes)
     slave, master = (
         surface_of(joined, part, names, role, normal)
         for role, part, normal in zip(
-            ("slave", "master"),
-            np.split(nodes.facet_nodes, [sum(sizes[: len(names)])]),
-            (contacts[0].normal, None),
-            strict=True,
+            ("slave", "master"), of_sides, (contacts[0].normal, None), strict=True
         )
     )
     return JoinedPairs(contacts, slave, master)
+
+
+def _joined_boundary(
+    boundary: MeshBoundary, facets: Indices, sizes: Sequence[int]
+) -> tuple[MeshBoundary, list[Indices]]:
+    """Return a boundary with the nodes of each contact, and the facets of both sides. Collective.
+
+    The facets (f, t) are those of the contacts' slaves, then those of the masters, of these sizes.
+    """
+    count = len(sizes) // 2
+    nodes = ContactNodes(boundary.nodes, facets, np.repeat(np.arange(2 * count) % count, sizes))
+    joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
+    return joined, np.split(nodes.facet_nodes, [sum(sizes[:count])])
+
+
+@dataclass(frozen=True)
+class MortarPairs:
+    """Pairs with mortar conditions, whose surfaces are joined once for all displacements.
+
+    Either all of them have normals of the user, or none.
+    """
+
+    boundary: MeshBoundary  # undeformed
+    pairs: JoinedPairs
+    without: NodesWithoutConditions
+
+    @staticmethod
+    def of(found: Sequence[tuple[ContactPair, ContactConditions]]) -> MortarPairs:
+        """Join the surfaces of conditions. Collective."""
+        contacts, conditions = zip(*found, strict=True)
+        sides = [[part.surfaces[side] for part in conditions] for side in (0, 1)]
+        surfaces = [*sides[0], *sides[1]]
+        boundary = surfaces[0].boundary
+        joined, of_sides = _joined_boundary(
+            boundary,
+            np.concatenate([surface.facet_nodes for surface in surfaces]),
+            [len(surface.facet_nodes) for surface in surfaces],
+        )
+        slave, master = (
+            Surface.joined(joined, *side) for side in zip(sides, of_sides, strict=True)
+        )
+        shared = concatenate_ranks(slave.comm, np.intersect1d(slave.nodes, master.nodes))
+        prescribed = np.concatenate([part.prescribed for part in conditions])
+        without = NodesWithoutConditions.of(slave, shared, prescribed)
+        return MortarPairs(boundary, JoinedPairs(contacts, slave, master), without)
+
+    def at(
+        self,
+        deformed: MeshBoundary,
+        before: Sequence[ContactConditions],
+        normals: Sequence[Vector] | None,
+    ) -> list[ContactConditions]:
+        """Return the conditions on a deformed boundary, with gaps of the surfaces. Collective.
+
+        Nodes that had conditions before keep them longer than others. The user's normals (k, gdim)
+        are those at the nodes of each slave.
+        """
+        nodes, names = self.pairs.slave.boundary.nodes, self.pairs.slave.names
+        there = replace(
+            self.pairs.slave.boundary,
+            coordinates=nodes.copied(deformed.coordinates),
+            displacement=deformed.displacement,
+        )
+        slave, master = (side.on(there) for side in (self.pairs.slave, self.pairs.master))
+        if normals is None:
+            slave = slave.with_present_normals()
+        else:
+            slave = replace(slave, normal=np.concatenate(normals))
+        near = gather_nearby(master, slave)
+        with raise_collectively(slave.comm):
+            near.check_not_folded(*names)
+        first = np.cumsum([0, *(part.surface.nodes.size for part in before)])
+        rows = [start + part.on_surface for start, part in zip(first, before, strict=False)]
+        known = slave.nodes[np.concatenate(rows)]
+        found = mortar_conditions(slave, near, self.without, known, normals is not None)
+        check_weight(found, self.pairs.slave)
+        gap = np.sum(found.gap * found.normal, axis=1)
+        parts = _separated(self.boundary, self.pairs.slave, found, gap)
+        return [replace(part, **new) for part, new in zip(before, parts, strict=True)]
 
 
 def face_colours(slave: Surface) -> Numbers:
@@ -256,27 +329,60 @@ def _conditions_of_parts(
     normal = found.normal
     if pairs.contacts[0].normal is None:
         normal = without_axial_tilt(slave, found.terms.slave, normal)
-    copies, count = slave.boundary.nodes, len(names)
+    columns = zip(
+        _separated(boundary, slave, replace(found, normal=normal), gap),
+        summaries,
+        slave.separated(boundary),
+        pairs.master.separated(boundary),
+        split(slave.contact, prescribed, len(names)),
+        strict=True,
+    )
+    return [
+        ContactConditions(
+            summary=summary,
+            surface=surface,
+            master_surface=master_surface,
+            prescribed=of_surface,
+            **part,
+        )
+        for part, summary, surface, master_surface, of_surface in columns
+    ]
+
+
+def _separated(
+    boundary: MeshBoundary, slave: Surface, found: Conditions, gap: Vector
+) -> list[dict[str, Any]]:
+    """Return the conditions of each contact, with gaps (k,), in the mesh's numbers. Collective."""
+    copies, count = slave.boundary.nodes, len(slave.names)
     numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
     terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
+    contact = slave.contact[slave.rows_of(found.terms.slave)]
     ends = np.searchsorted(contact, np.arange(count + 1))
     shares: list[PressureShares | None] = [None] * count
     if found.shares is not None:
-        S, size = found.shares.matrix, (rows.size, boundary.nodes.total)
-        S = sp.csr_matrix((S.data, copies.values_at(numbers, S.indices), S.indptr), size)
-        shares = [PressureShares(partial(S.__getitem__, slice(*cut))) for cut in pairwise(ends)]
-    columns = [
-        terms.split(ends),
-        *(split(contact, values, count) for values in (normal, gap, found.area)),
-        summaries,
-        slave.separated(boundary),
-        split(slave.facet_contact, found.covered, count),
-        split(contact, found.coverage, count),
-        split(slave.contact, prescribed, count),
-        pairs.master.separated(boundary),
-        shares,
-    ]
-    return list(map(ContactConditions, *columns))
+        of_mesh = PressureShares(
+            partial(_shares_of_mesh, found.shares, copies, numbers, boundary.nodes.total)
+        )
+        shares = [PressureShares(partial(of_mesh.rows, *cut)) for cut in pairwise(ends)]
+    columns = {
+        "terms": terms.split(ends),
+        "normal": split(contact, found.normal, count),
+        "gap": split(contact, gap, count),
+        "area": split(contact, found.area, count),
+        "covered": split(slave.facet_contact, found.covered, count),
+        "coverage": split(contact, found.coverage, count),
+        "shares": shares,
+    }
+    return [dict(zip(columns, part, strict=True)) for part in zip(*columns.values(), strict=True)]
+
+
+def _shares_of_mesh(
+    shares: PressureShares, copies: NodeMap, numbers: Numbers, total: int
+) -> sp.csr_matrix:
+    """Return the shares of copies of nodes with the mesh's numbers as columns. Collective."""
+    S = shares.matrix
+    columns = copies.values_at(numbers, S.indices)
+    return sp.csr_matrix((S.data, columns, S.indptr), (S.shape[0], total))
 
 
 def initial_gaps(

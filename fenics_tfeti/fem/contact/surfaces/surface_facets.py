@@ -17,6 +17,15 @@ from fenics_tfeti.fem.tolerances import VANISHING_NORMAL
 from fenics_tfeti.typing import Numbers, Vector
 
 
+def folded(name: str, number: int, place: str) -> InputError:
+    """Return the error that the normals of the facets around some nodes cancel."""
+    return InputError(
+        f"{name}: the displacement has folded the slave's facets at {number} nodes, the first now "
+        f"at {place}: their normals cancel. Check the loads, and whether the displacements are "
+        "small enough for linear elasticity"
+    )
+
+
 @dataclass(frozen=True)
 class SurfaceFacets:
     """Facets of a surface with the global numbers of their nodes."""
@@ -74,18 +83,18 @@ class SurfaceFacets:
         np.add.at(size, pieces, np.linalg.norm(weighted, axis=2))
         return total, size
 
-    def check_not_folded(self, name: str) -> None:
-        """Check that the normals of the facets around each node do not cancel."""
+    def check_not_folded(self, *names: str) -> None:
+        """Check that the normals of the facets around each node do not cancel.
+
+        The names are those of the contacts.
+        """
         total, size = self._integrals
         length = np.linalg.norm(total, axis=1)
-        folded = np.flatnonzero(length <= VANISHING_NORMAL * size)
-        if folded.size:
-            place = format_point(self.points[folded[0]], float(np.abs(self.points).max()))
-            raise InputError(
-                f"{name}: the displacement has folded the slave's facets at "
-                f"{folded.size} nodes, the first now at {place}: their normals cancel. Check the "
-                "loads, and whether the displacements are small enough for linear elasticity"
-            )
+        is_folded = np.flatnonzero(length <= VANISHING_NORMAL * size)
+        if is_folded.size:
+            place = format_point(self.points[is_folded[0]], float(np.abs(self.points).max()))
+            name = names[int(self.facets.contact_of(is_folded[:1])[0])]
+            raise folded(name, is_folded.size, place)
 
     def from_corners(self, values: Vector) -> Vector:
         """Return values (n, ...) at all nodes, interpolated by those at the facets' corners."""

@@ -22,12 +22,12 @@ from ufl.domain import extract_domains
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_facets
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
+from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets, folded
 from fenics_tfeti.fem.geometry.facets import Facets
 from fenics_tfeti.fem.geometry.normals import corner_normals
 from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.messages import WrongPoints, coordinate_order, first_wrong
-from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
     cell_facets,
@@ -222,6 +222,17 @@ class Surface:
         integrals = corner_normals(x, at_corners) * chosen[:, None, None]
         return np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
 
+    def with_present_normals(self) -> Surface:
+        """Return it with the normals of all facets around its nodes where these are. Collective."""
+        x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
+        integrals = corner_normals(x)
+        sizes = np.linalg.norm(integrals, axis=2, keepdims=True)
+        sums = self.sum_of_corners(np.concatenate([integrals, sizes], axis=2))
+        length = np.linalg.norm(sums[:, :-1], axis=1)
+        if bad := self.first_wrong(length <= VANISHING_NORMAL * sums[:, -1]):
+            raise folded(bad.name, bad.number, bad.place)
+        return replace(self, normal=sums[:, :-1] / length[:, None])
+
     def with_normals_of(self, covered: Vector | Mask) -> Surface:
         """Return it with normals of the covered shares (f,) of facets, where a node has some.
 
@@ -293,7 +304,8 @@ class Surface:
             boundary.nodes.to_global(rows), return_index=True, return_inverse=True
         )
         local = rows.ravel()[first]
-        points, contact = boundary.coordinates[local], boundary.nodes.contact
+        points = boundary.coordinates[local]
+        contact = None if len(self.names) == 1 else boundary.nodes.contact
         facets = Facets(
             points[:, : self.normal.shape[1]],
             inverse.reshape(rows.shape),
@@ -333,6 +345,24 @@ class Surface:
             Surface(boundary, [name], self.role, *of_contact)
             for name, *of_contact in zip(self.names, *columns, strict=True)
         ]
+
+    @staticmethod
+    def joined(
+        boundary: MeshBoundary, surfaces: Sequence[Surface], facet_nodes: Indices
+    ) -> Surface:
+        """Return the surfaces of contacts as one, on a boundary with `ContactNodes`: as separated.
+
+        The facets (f, t) are those of all of them, with the boundary's local nodes.
+        """
+        assert isinstance(boundary.nodes, ContactNodes)
+        contact = np.repeat(np.arange(len(surfaces)), [part.nodes.size for part in surfaces])
+        local, normal, area, size, extent = (
+            np.concatenate([getattr(part, name) for part in surfaces])
+            for name in ("local", "normal", "area", "size", "extent")
+        )
+        nodes, names = boundary.nodes.copies(contact, local), [part.names[0] for part in surfaces]
+        role = surfaces[0].role
+        return Surface(boundary, names, role, nodes, normal, area, size, facet_nodes, extent)
 
     def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
