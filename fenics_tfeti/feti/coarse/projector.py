@@ -203,7 +203,7 @@ class Projector:
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.append(self.gram.rows.T @ chosen, [] if x is None else x @ part)
         own, sums = self.gram.factor.solve_sum(
-            coarse_space.restrict_own(chosen), coarse_space.others @ chosen, numbers
+            coarse_space.restrict_own(chosen), coarse_space.restrict_others(chosen), numbers
         )
         if resisted and self.free.shape[1]:
             free = coarse_space.own_part(self.free)

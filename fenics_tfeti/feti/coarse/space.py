@@ -29,7 +29,7 @@ from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.factors.cholesky import available_packages
-from fenics_tfeti.feti.local.congruence import CongruenceClass
+from fenics_tfeti.feti.local.congruence import CongruenceClass, dense_if_small
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import SOFT, WEAK, ZERO
 from fenics_tfeti.parallel import first_of_rank, largest_of_ranks
@@ -123,10 +123,22 @@ class CoarseSpace:
         """Return Gx for this rank's coarse unknowns."""
         return self._own_transposed @ x
 
+    def restrict_others(self, x: Vector) -> Vector:
+        """Return Gx for the coarse unknowns of other ranks' subdomains, (h,)."""
+        return self._others_products @ x
+
     @cached_property
-    def _own_transposed(self) -> sp.csc_matrix:
+    def _own_products(self) -> sp.csr_matrix | Vector:
+        return dense_if_small(self.own)
+
+    @cached_property
+    def _own_transposed(self) -> sp.csc_matrix | Vector:
         # made once: on small problems it takes longer than the product
-        return self.own.T
+        return self._own_products.T
+
+    @cached_property
+    def _others_products(self) -> sp.csr_matrix | Vector:
+        return dense_if_small(self.others)
 
     @cached_property
     def others_transposed(self) -> sp.csc_matrix:
@@ -139,7 +151,7 @@ class CoarseSpace:
 
     def prolong_own(self, own: Vector) -> Vector:
         """Return what this rank's coarse unknowns add to G'a."""
-        return self.own @ own
+        return self._own_products @ own
 
     def columns(self, face: Face) -> sp.csr_matrix:
         """Return the columns of G of a face, but equality rows, on all ranks' unknowns."""

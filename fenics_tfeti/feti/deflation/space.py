@@ -43,7 +43,7 @@ from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.costs import COLUMNS
 from fenics_tfeti.feti.deflation.local_spectra import LocalVectors
-from fenics_tfeti.feti.local.congruence import of_subdomains
+from fenics_tfeti.feti.local.congruence import dense_if_small, of_subdomains
 from fenics_tfeti.feti.tolerances import PARALLEL, WEAK
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -151,7 +151,7 @@ class Deflation:
         # the second time for what rounding leaves, which a large F multiplies: in a direction
         # without curvature the residual has to be zero, or conjugate gradients diverge
         for _ in range(2):
-            work = self._combined(self.pieces @ displacements)
+            work = self._combined(self._pieces_products @ displacements)
             displacements = displacements - self._response(self._solve(work))
         return interface.matrix @ displacements
 
@@ -189,6 +189,10 @@ class Deflation:
         part = self._own_transposed @ y - own.T @ coarse_space.restrict_own(y)
         part -= self.V.T @ (self.W[:owned].T @ y[:owned])
         return constraints.layout.space.sum_over_ranks(part)
+
+    @cached_property
+    def _pieces_products(self) -> sp.csr_matrix | Vector:
+        return dense_if_small(self.pieces)
 
     @cached_property
     def _own_transposed(self) -> sp.csc_matrix:

@@ -25,7 +25,7 @@ from fenics_tfeti.feti.dual.deluxe_scaling import DeluxeScaling
 from fenics_tfeti.feti.dual.direct_faces import DirectFaces
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
-from fenics_tfeti.feti.local.congruence import times_rows
+from fenics_tfeti.feti.local.congruence import dense_if_small, times_rows
 from fenics_tfeti.feti.local.generalized_inverse import regularized_stiffness
 from fenics_tfeti.feti.local.trial_displacements import TrialDisplacements
 from fenics_tfeti.feti.tolerances import ZERO
@@ -280,7 +280,7 @@ def _reaction(
     rows = K[local]
     K_bb = rows[:, local].tocsr()
     if kind == "lumped" or 0 in (interior.size, local.size, K.nnz):
-        return partial(times_rows, K_bb)
+        return partial(times_rows, dense_if_small(K_bb))
     K_bi = rows[:, interior].tocsr()
     K_ib = K_bi.T.tocsr()
     factor = sparse_cholesky(_held_interior(K, R, local, interior), package)

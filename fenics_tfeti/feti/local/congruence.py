@@ -15,7 +15,7 @@ from typing import TypeVar
 import numpy as np
 import scipy.sparse as sp
 
-from fenics_tfeti.feti.costs import ROWS
+from fenics_tfeti.feti.costs import DENSE, ROWS
 from fenics_tfeti.feti.local.frames import Frames
 from fenics_tfeti.feti.local.rigid_body_modes import rigid_body_modes
 from fenics_tfeti.feti.system import Subdomain
@@ -172,8 +172,15 @@ def apply_by_class(
     return result
 
 
-def times_rows(matrix: sp.csr_matrix, rows: Vector) -> Vector:
-    """Return a (n, n) sparse matrix times each row of a (k, n) matrix."""
+def dense_if_small(matrix: sp.spmatrix) -> sp.spmatrix | Vector:
+    """Return a matrix for products with vectors: a dense one if it is small."""
+    return matrix.toarray() if matrix.shape[0] * matrix.shape[1] <= DENSE else matrix
+
+
+def times_rows(matrix: sp.csr_matrix | Vector, rows: Vector) -> Vector:
+    """Return a (n, n) matrix, dense or sparse, times each row of a (k, n) matrix."""
+    if isinstance(matrix, np.ndarray):
+        return rows @ matrix.T
     if len(rows) == 1:
         return np.asarray(matrix @ rows[0])[None]
     product = np.empty_like(rows)
