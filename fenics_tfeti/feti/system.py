@@ -654,8 +654,11 @@ def _convert(part: Any, **dtypes: type[np.generic]) -> None:
     Fields with other numbers are left to the check, and arrays of the right type as they are.
     """
     for name, dtype in dtypes.items():
+        given = getattr(part, name)
+        if isinstance(given, np.ndarray) and given.dtype == dtype:
+            continue
         try:
-            values = np.asarray(getattr(part, name))
+            values = np.asarray(given)
         except ValueError:
             continue
         integers = issubclass(dtype, np.integer)
