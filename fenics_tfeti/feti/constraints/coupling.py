@@ -103,11 +103,19 @@ class Coupling:
         """The diagonal block of W that each row belongs to, (w,)."""
         return connected_components(self.gram, directed=False)[1].astype(np.int64)
 
+    @cached_property
+    def _owned_rows(self) -> Numbers:
+        return self.rows[self.owned]
+
+    @cached_property
+    def _owned_positions(self) -> Numbers:
+        return self.positions[self.owned]
+
     def gather(self, *local: Vector) -> Vector:
         """Return the coupled rows of vectors (m,), (k, w), the same on all ranks. Collective."""
-        owned = self.rows[self.owned]
+        owned = self._owned_rows
         coupled = np.zeros((len(local), self.numbers.size))
-        coupled[:, self.positions[self.owned]] = np.stack([x[owned] for x in local])
+        coupled[:, self._owned_positions] = [x[owned] for x in local]
         self._sum_over_ranks(coupled)
         return coupled
 

@@ -89,8 +89,8 @@ class DualLayout:
 
     def owned_part(self, x: Vector) -> Vector:
         """Return x with zeros for components that are not owned; x is the sum of these parts."""
-        part = np.zeros_like(x)
-        part[: self.owned] = x[: self.owned]
+        part = x.copy()
+        part[self.owned :] = 0.0
         return part
 
     def sum_sparse(self, part: sp.csr_matrix) -> sp.csr_matrix:

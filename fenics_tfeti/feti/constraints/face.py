@@ -190,6 +190,11 @@ class Face:
         """1 / rho, what the proximal term adds to C on all rows with bounds [m/N]."""
         return 0.0 if self.proximal is None else 1.0 / self.proximal.stiffness
 
+    @property
+    def has_terms(self) -> bool:
+        """Whether there are terms beside 1/2 l'Fl - d'l."""
+        return self.proximal is not None or self.tangents is not None
+
     def curved(self, x: Vector) -> Vector:
         """Return Cx, with the second derivative C of the terms beside 1/2 l'Fl."""
         product = np.zeros_like(x)

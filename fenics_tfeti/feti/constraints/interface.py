@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -64,11 +65,16 @@ class Interface:
 
     def blocks(self, packed: Vector) -> list[Vector]:
         """Return a packed vector as matrices (k, interface unknowns), one for each class."""
-        blocks, end = list[Vector](), 0
+        return [packed[part].reshape(shape) for part, shape in self._parts]
+
+    @cached_property
+    def _parts(self) -> list[tuple[slice, tuple[int, int]]]:
+        """Where the block of each class is in a packed vector, and its shape."""
+        parts, end = list[tuple[slice, tuple[int, int]]](), 0
         for c, u in zip(self.classes, self.unknowns, strict=True):
             begin, end = end, end + c.members.size * u.size
-            blocks.append(packed[begin:end].reshape(c.members.size, u.size))
-        return blocks
+            parts.append((slice(begin, end), (c.members.size, u.size)))
+        return parts
 
     def apply(self, operators: Sequence[Callable[[Vector], Vector]], packed: Vector) -> Vector:
         """Apply an operator (k, b) -> (k, b) to each class' block of a packed vector."""
@@ -80,8 +86,7 @@ class Interface:
         """Return the matrices (k, interface unknowns) of the classes as a packed vector."""
         if len(blocks) == 1:
             return blocks[0].ravel()
-        none = np.zeros(0)
-        return np.concatenate([none, *(block.ravel() for block in blocks)])
+        return np.concatenate([np.zeros(0), *[block.ravel() for block in blocks]])
 
 
 def _touched(congruent: CongruenceClass, touched: NDArray[np.bool_]) -> Numbers:

@@ -185,10 +185,11 @@ def _step(
     # 2. direction: p = z + (r'z / r'z of the last step) p
     p = z + rz / iterate.rz_of_direction * iterate.direction
     # 3. product: PFp on the face, off it what the gaps change by; p'Fp
-    curvature_gradient = operators.face.curved(p)
-    part = _product(problem, p, products) + problem.constraints.layout.owned_part(
-        curvature_gradient
-    )
+    curvature_gradient: Vector | float = 0.0
+    part = _product(problem, p, products)
+    if operators.face.has_terms:
+        curvature_gradient = operators.face.curved(p)
+        part = part + problem.constraints.layout.owned_part(curvature_gradient)
     change, curvature = operators.projector.remove_rigid_motion(part, p)
     if curvature <= _NO_CURVATURE * rz:
         return None
@@ -207,7 +208,9 @@ def _with_preconditioned_residual(
     if iterate.preconditioned is not None:
         return iterate
     face = operators.face
-    gradient = iterate.gradient + face.gradient_of_terms(iterate.multipliers)
+    gradient = iterate.gradient
+    if face.has_terms:
+        gradient = gradient + face.gradient_of_terms(iterate.multipliers)
     z, rz = _precondition(operators, -face.part(gradient), products)
     if rz is None:
         # without preconditioner z = r in units of ||PFP||, so that r'z is an energy
@@ -339,6 +342,8 @@ def _norms(
         forces = friction_step(problem, face, multipliers, gradient)
         change = (friction.at_sites(multipliers) - forces) / (_SLIP_STIFFNESS * problem.unit)
         wrong += friction.spread(change, wrong.size)
-    residual = face.part(gradient + face.gradient_of_terms(multipliers))
+    if face.has_terms:
+        gradient = gradient + face.gradient_of_terms(multipliers)
+    residual = face.part(gradient)
     squares = problem.space.dots((residual, residual), (wrong, wrong))
     return float(np.sqrt(squares[0])), float(np.sqrt(squares[1]))
