@@ -6,8 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from moved_blocks import CELLS, blocks, lifted, shifted, turned
-from scenes import GROUND, dimension
+from moved_blocks import CELLS, Blocks, blocks, lifted, shifted, turned
+from scenes import GROUND, MASTER, SLAVE, at, dimension
 
 from dolfinx import fem
 
@@ -366,6 +366,37 @@ def test_result_is_that_of_one_rank(cell, kind):
         )
     np.testing.assert_allclose(found.conditions.gap, expected.conditions.gap[rows], atol=1e-13)
     assert expected.penetration.max() > 0.01
+
+
+def rings(cells):
+    """A quarter ring of tetrahedra around another one, each with its cells along and up."""
+
+    def bent(x):
+        r, angle = x[0] - 10.0 * (x[0] > 6.0), x[1] + 0.05 * np.sin(5 * x[2])
+        z = x[2] + 0.05 * np.sin(9 * angle) * np.sin(np.pi * x[2])
+        return np.stack([r * np.cos(angle), r * np.sin(angle), z])
+
+    lower = ((1.0, 0.0, 0.0), (2.0, 1.5, 1.0), (2, *cells[0]))
+    upper = ((12.0, 0.0, 0.0), (13.0, 1.5, 1.0), (2, *cells[1]))
+    marks = [(MASTER, at(0, 2.0), 1), (SLAVE, at(0, 12.0), 2)]
+    return Blocks.of_boxes(MPI.COMM_SELF, "tetrahedron", [lower, upper], marks, bent)
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1.01])
+@pytest.mark.parametrize("cells", [((6, 5), (6, 5)), ((7, 4), (6, 5))], ids=["nodes", "mortar"])
+def test_normals_of_round_cylinders_stay_across_their_axis(cells, stretch):
+    """Those of facets are tilted along it; rings that are turned, and wider, have turned ones."""
+    (Q, motion), factors = turned(0.7, 3, 0.2), np.array([[stretch], [stretch], [1.0]])
+    scene = rings(cells)
+    conditions, result, *_ = scene.deformed(*2 * [lambda x: motion(factors * x)])
+    assert conditions.is_mortar == (cells[0] != cells[1])
+    tilt = np.abs(conditions.surface.normal[:, 2]).max()
+    assert tilt > 0.02
+    # the facets around a node in a corner tell all of the stretch in their plane alone
+    limit = 1e-12 if stretch == 1.0 else 2.0 * (stretch - 1.0) * tilt
+    assert np.abs(result.normal @ Q[:, 2]).max() < limit
+    if stretch == 1.0:
+        np.testing.assert_allclose(result.normal, conditions.normal @ Q.T, atol=1e-12)
 
 
 @pytest.mark.ranks(2)

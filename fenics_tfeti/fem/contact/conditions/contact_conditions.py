@@ -12,6 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, rows_of_terms, sum_by_row, terms_of_slaves
@@ -183,6 +184,8 @@ class ContactConditions:
     # (s, gdim): components prescribed at the surface's nodes, for mortar conditions
     prescribed: Mask | None = None
     master_surface: Surface | None = None  # None for obstacles
+    # (s, 3): at the surface's nodes, if those in contact are on a round cylinder
+    axes: Vector | None = None
     shares: PressureShares | None = None  # of mortar conditions
     made_on: MeshBoundary | None = None  # deformed; None for the undeformed surfaces
 
@@ -231,6 +234,12 @@ class ContactConditions:
         if self.made_on is None:
             return 1.0
         return self.surface.stretch(self.made_on, self.covered)[self.on_surface]
+
+    def across(self, axes: Vector | None) -> ContactConditions:
+        """Return the conditions with normals across axes (s, 3) at the surface's nodes, if any."""
+        if axes is None:
+            return self
+        return replace(self, normal=without_axial_tilt(self.normal, axes[self.on_surface]))
 
     def with_areas_of(self, deformed: MeshBoundary) -> ContactConditions:
         """Return the conditions with the areas of another state. Collective."""

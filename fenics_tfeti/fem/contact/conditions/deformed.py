@@ -22,7 +22,8 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactCondit
 from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_surface
 from fenics_tfeti.fem.contact.conditions.surface_pairs import MortarPairs
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations
+from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.rotations import SurfaceRotations, carried
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, gather_surfaces
 from fenics_tfeti.fem.displacement import owned_values
@@ -115,16 +116,16 @@ def deformed_contacts(
     if not contacts:
         return []
     boundary = contacts[0][1].surface.boundary.deformed(displacement)
-    normals = [
-        _user_normal(contact, conditions.surface, boundary, turns_normals)
-        for contact, conditions in contacts
+    turned = [
+        _turned(contact, conditions, boundary, turns_normals) for contact, conditions in contacts
     ]
+    normals, axes = zip(*turned, strict=True)
     found = dict[int, tuple[ContactConditions, Vector]]()
     for joined, members in mortars_by_normals(contacts) if mortars is None else mortars:
         before = [contacts[k][1] for k in members]
         user_normals = [x for x in (normals[k] for k in members) if x is not None] or None
         for k, new in zip(members, joined.at(boundary, before, user_normals), strict=True):
-            found[k] = new, np.maximum(-new.gap, 0.0)
+            found[k] = new.across(axes[k]), np.maximum(-new.gap, 0.0)
     # what all ranks need the whole of
     needed = [
         [] if conditions.is_mortar else [surface.on(boundary) for surface in conditions.surfaces]
@@ -135,7 +136,7 @@ def deformed_contacts(
     measured = []
     for k, ((contact, conditions), surfaces) in enumerate(zip(contacts, needed, strict=True)):
         surface, whole = conditions.surface, [next(gathered) for _ in surfaces]
-        new, depth = found.get(k) or _deformed(contact, conditions, normals[k], whole, boundary)
+        new, depth = found.get(k) or _deformed(contact, conditions, *turned[k], whole, boundary)
         moved = np.sum(new.relative(u) * new.normal, axis=1)
         distance, depth, gap = map(surface.without_rounding, (new.gap, depth, new.gap + moved))
         total = replace(new, gap=gap, made_on=boundary)
@@ -164,21 +165,28 @@ def mortars_by_normals(
     return joined
 
 
-def _user_normal(
-    contact: Contact, surface: Surface, boundary: MeshBoundary, turns: bool
-) -> Vector | None:
-    """Return the user's normals (k, gdim) on a deformed boundary, if there are any. Collective."""
-    if not isinstance(contact, ContactPair) or contact.normal is None:
-        return None
-    if not turns:
-        return surface.normal
-    return SurfaceRotations.of(surface, boundary).turned(surface.normal)
+def _turned(
+    contact: Contact, conditions: ContactConditions, boundary: MeshBoundary, turns_normals: bool
+) -> tuple[Vector | None, Vector | None]:
+    """Return the user's normals, and axes of a round surface, on a deformed boundary. Collective.
+
+    They are (s, gdim) at the surface's nodes, if there are any, turned with the facets. Normals may
+    be as they are.
+    """
+    surface, axes = conditions.surface, conditions.axes
+    normal = None
+    if isinstance(contact, ContactPair) and contact.normal is not None:
+        normal = surface.normal
+        if turns_normals:
+            normal = SurfaceRotations.of(surface, boundary).turned(normal)
+    return normal, None if axes is None else carried(surface, boundary, axes)
 
 
 def _deformed(
     contact: Contact,
     conditions: ContactConditions,
     user_normal: Vector | None,
+    axes: Vector | None,
     surfaces: Sequence[SurfaceFacets],
     boundary: MeshBoundary,
 ) -> tuple[ContactConditions, Vector]:
@@ -197,6 +205,8 @@ def _deformed(
     else:
         surface = deformed_surface(conditions.surface, surfaces[0], boundary)
         surface = surface.with_normals_of(conditions.covered)
+        if axes is not None:
+            surface = replace(surface, normal=without_axial_tilt(surface.normal, axes))
     return _deformed_pairs(conditions, surface, *surfaces)
 
 

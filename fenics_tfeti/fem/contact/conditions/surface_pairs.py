@@ -31,7 +31,7 @@ from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
-from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.normals import axes_of_cylinders
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.patches import connected_facets, patch_colours
 from fenics_tfeti.fem.contact.surfaces.tagged import (
@@ -326,15 +326,16 @@ def _conditions_of_parts(
             summary.update(deviation=None, blurred=None)
         if prescribed is not None:
             summary.update(slave=pair.slave, master=pair.master)
-    normal = found.normal
+    axes: list[Vector | None] = [None] * len(names)
     if pairs.contacts[0].normal is None:
-        normal = without_axial_tilt(slave, found.terms.slave, normal)
+        axes = axes_of_cylinders(slave, found.terms.slave, found.normal)
     columns = zip(
-        _separated(boundary, slave, replace(found, normal=normal), gap),
+        _separated(boundary, slave, found, gap),
         summaries,
         slave.separated(boundary),
         pairs.master.separated(boundary),
         split(slave.contact, prescribed, len(names)),
+        axes,
         strict=True,
     )
     return [
@@ -343,9 +344,10 @@ def _conditions_of_parts(
             surface=surface,
             master_surface=master_surface,
             prescribed=of_surface,
+            axes=of_nodes,
             **part,
-        )
-        for part, summary, surface, master_surface, of_surface in columns
+        ).across(of_nodes)
+        for part, summary, surface, master_surface, of_surface, of_nodes in columns
     ]
 
 

@@ -56,18 +56,19 @@ def normals_in_symmetry_planes(surface: Surface, prescribed: Mask) -> Vector:
     )
 
 
-def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vector:
-    """Return normals across the axis where nodes in contact are on round cylinders. Collective.
+def axes_of_cylinders(surface: Surface, nodes: Numbers, normal: Vector) -> list[Vector | None]:
+    """Return the axes at the nodes (s,) of each slave whose contact is round. Collective.
 
-    The nodes (k,) with contact conditions have the normals (k, gdim). The slaves' surfaces may have
-    other facets, such as a pin's ends: normals of nodes with facets off the cylinder stay as they
-    are.
+    The nodes (k,) with contact conditions have the normals (k, gdim). If those of a contact are on
+    a round cylinder, its axes (s, 3) are unit vectors at nodes whose facets are all on it, zero at
+    others, such as those of a pin's ends.
     """
+    count = len(surface.extent)
     if normal.shape[1] != 3:
-        return normal
+        return [None] * count
     rows = np.searchsorted(surface.nodes, nodes)
     contact, corners = surface.contact[rows], surface.corners
-    axes, limits = np.zeros((len(surface.extent), 3)), np.zeros(len(surface.extent))
+    axes, limits = np.zeros((count, 3)), np.zeros(count)
     distance = np.zeros(corners.shape[:2])
     for k in np.flatnonzero(_are_curved(surface, contact, normal)):
         of_contact, of_facets = contact == k, surface.facet_contact == k
@@ -78,13 +79,19 @@ def without_axial_tilt(surface: Surface, nodes: Numbers, normal: Vector) -> Vect
             on = np.abs(cylinder.distance(places.reshape(-1, 3)))
             distance[of_facets] = on.reshape(places.shape[:2])
     if not axes.any():
-        return normal
-    farthest = surface.max_of_facets(distance.max(axis=1))[rows]
-    tilt = np.sum(normal * axes[contact], axis=1)
-    corrected = (farthest <= limits[contact]) & (np.abs(tilt) > COORDINATE_ROUNDING)
-    radial = (normal - tilt[:, None] * axes[contact])[corrected]
-    normal = normal.copy()
-    normal[corrected] = unit(radial)
+        return [None] * count
+    farthest, of_node = surface.max_of_facets(distance.max(axis=1)), surface.contact
+    at_nodes = np.where((farthest <= limits[of_node])[:, None], axes[of_node], 0.0)
+    of_contacts = np.split(at_nodes, np.searchsorted(of_node, np.arange(1, count)))
+    return [part if axis.any() else None for part, axis in zip(of_contacts, axes, strict=True)]
+
+
+def without_axial_tilt(normal: Vector, axis: Vector) -> Vector:
+    """Return unit normals (k, 3) across axes (k, 3), where these are not zero."""
+    tilt = np.sum(normal * axis, axis=1)
+    is_tilted = np.abs(tilt) > COORDINATE_ROUNDING
+    normal, radial = normal.copy(), normal - tilt[:, None] * axis
+    normal[is_tilted] = unit(radial[is_tilted])
     return normal
 
 

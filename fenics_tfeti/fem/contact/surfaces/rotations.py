@@ -12,9 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
-from fenics_tfeti.fem.geometry.vectors import cross, nearest_rotation
+from fenics_tfeti.fem.geometry.vectors import cross, nearest_rotation, unit
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.typing import Numbers, Vector
+
+# height of a patch of facets, relative to its extent and squared, up to which it is plane
+_PLANE = 1e-2
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,25 @@ class SurfaceRotations:
         gdim = self.arms.shape[1]
         arms = np.pad(self.arms[term], ((0, 0), (0, 3 - gdim)))
         return row, self.nodes[term], cross(spins[row], arms)[:, :gdim]
+
+
+def carried(surface: Surface, boundary: MeshBoundary, vectors: Vector) -> Vector:
+    """Return unit vectors along a surface as lines of its material have them. Collective.
+
+    The vectors (k, gdim) are at the nodes of the surface on this rank. Their places on a boundary
+    tell a deformation gradient F = H S^-1, S being the H of the undeformed facets. What facets in
+    one plane do not tell about F is that of the rotation.
+    """
+    nodes, gdim = boundary.nodes, boundary.nodes.components
+    row, corners, arms = _arms(surface)
+    S, H = (np.zeros((surface.nodes.size, gdim, gdim)) for _ in range(2))
+    for matrices, x in ((S, surface.boundary.coordinates), (H, boundary.coordinates)):
+        places = nodes.values_at(x[:, :gdim], corners)
+        np.add.at(matrices, row, places[:, :, None] * arms[:, None, :])
+    R = nearest_rotation(H)
+    along = np.einsum("kab,kb->ka", np.linalg.pinv(S, rcond=_PLANE, hermitian=True), vectors)
+    turned = np.einsum("kab,kb->ka", R, vectors) + np.einsum("kab,kb->ka", H - R @ S, along)
+    return unit(turned)
 
 
 def _arms(surface: Surface) -> tuple[Numbers, Numbers, Vector]:

@@ -7,7 +7,11 @@ import pytest
 
 from dolfinx import mesh as dmesh
 
-from fenics_tfeti.fem.contact.surfaces.normals import FittedCylinder, without_axial_tilt
+from fenics_tfeti.fem.contact.surfaces.normals import (
+    FittedCylinder,
+    axes_of_cylinders,
+    without_axial_tilt,
+)
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_surface
 from fenics_tfeti.io import displacement_space
 
@@ -111,7 +115,8 @@ def normals_of(boundary, tags, tag, chosen=lambda x: np.ones(len(x), dtype=bool)
     surface = tagged_surface(boundary, tags, tag, "slave")
     at = chosen(surface.points)
     before = surface.normal[at]
-    after = without_axial_tilt(surface, surface.nodes[at], before)
+    (axes,) = axes_of_cylinders(surface, surface.nodes[at], before)
+    after = before if axes is None else without_axial_tilt(before, axes[at])
     return surface.points[at], before, after
 
 
