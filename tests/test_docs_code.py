@@ -177,7 +177,13 @@ def test_pages_that_continue_the_tutorial(page, tutorial):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text(), tutorial)
 
 
-@pytest.mark.parametrize("page", ALONE)
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[pytest.mark.once] * (page in ("impact", "self_contact")))
+        for page in ALONE
+    ],
+)
 def test_pages_of_their_own(page, folder):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text())
 

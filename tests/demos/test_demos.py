@@ -41,6 +41,7 @@ def test_hertz_cylinder(demo):
     assert demo["errors"]["groove"] == pytest.approx((0.0, 0.0), abs=0.008)
 
 
+@pytest.mark.once
 def test_roller_crown(demo):
     """The pressure on the strip is its mean, found with few solves."""
     assert demo["last"] < 1e-3 * demo["first"]
@@ -48,6 +49,7 @@ def test_roller_crown(demo):
     assert demo["found"].nfev < 40
 
 
+@pytest.mark.once
 def test_hidden_support(demo):
     """Clearance and stiffness are found to the error of the measurements, by few solves."""
     assert demo["last"] < 9.0
@@ -185,6 +187,7 @@ def test_finer_meshes(demo):
     assert saved.products["total"] < alone.products["total"]
 
 
+@pytest.mark.once
 def test_adaptive_roller(demo):
     """5 % with a third of the unknowns of uniform meshes, and fewer of degree 2."""
     last = {degree: found.levels[-1] for degree, found in demo["found"].items()}
