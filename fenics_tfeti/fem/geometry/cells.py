@@ -136,7 +136,7 @@ def covering_cells(
     `MasterTree.reach`.
     """
     cells = overlapping_cells(slave, planes, chosen, master, reach)
-    cells = _without_far_sides(cells, planes, master)
+    cells = _without_far_sides(slave, cells, planes, master)
     cells = _without_steep_sides(cells, planes, master)
     return nearest_layers(cells, planes, master)
 
@@ -177,8 +177,14 @@ def _intersections(master: Vector, slave: Vector) -> tuple[Numbers, Vector, Vect
     return fan_triangles(*clip_polygons(master[:, ::-1], slave))
 
 
-def _without_far_sides(cells: Cells, planes: Planes, master: MasterTree) -> Cells:
-    """Leave out master facets far behind the slave unless the slave is inside the master there."""
+def _without_far_sides(slave: Facets, cells: Cells, planes: Planes, master: MasterTree) -> Cells:
+    """Leave out master facets far behind the slave unless the slave is inside the master there.
+
+    Those deeper behind a facet than its `depth` are of the other side of its own wall.
+    """
+    if slave.depth is not None:
+        limit = slave.depth[cells.slave // slave.per_facet]
+        cells = cells.select_pairs(cells.centre[1] >= -limit)
     size = np.maximum(planes.diameter[cells.slave], master.planes.diameter[cells.master])
     if (cells.height >= -size[:, None]).all():
         return cells

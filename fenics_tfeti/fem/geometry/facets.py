@@ -38,6 +38,7 @@ class Facets:
     points: Vector  # (n, gdim) [m]
     nodes: Numbers  # (f, t): rows of points
     contact: Numbers | None = None  # (n,): of surfaces of several contacts, that of each point
+    depth: Vector | None = None  # (f,): how far behind each others may be [m]; by default any
 
     def __len__(self) -> int:
         return len(self.nodes)

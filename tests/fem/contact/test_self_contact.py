@@ -5,6 +5,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from folded import INSIDE, OUTSIDE, arc, serpentine, spiral, strip
+from matching import match_contacts
 
 import ufl
 from dolfinx.fem import Function, dirichletbc, locate_dofs_geometrical
@@ -22,7 +23,7 @@ from fenics_tfeti import (
 from fenics_tfeti.fem.contact.search.patches_of_itself import Patches
 from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
-from fenics_tfeti.io import displacement_space, tag_facets
+from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import isotropic, small_strain
 
 
@@ -61,6 +62,34 @@ def test_turns_of_a_spiral_are_one_patch():
     found = patches_of(mesh, 0.1)
     assert len(found.patches.slave) == 1
     assert min(found.patches.slave.sum(), found.patches.master.sum()) > 100
+
+
+def coil(turns, per_turn, wire=0.2, pitch=0.32):
+    """A helix of square wire with radius 1."""
+    box = Box((0, -wire / 2, -wire / 2), (1, wire / 2, wire / 2), (int(turns * per_turn), 1, 1))
+    mesh = boxes(MPI.COMM_SELF, [box], "hexahedron").mesh
+    s, across, up = mesh.geometry.x.T.copy()
+    angle, radius = 2 * np.pi * turns * s, 1.0 + across
+    mesh.geometry.x[:, 0], mesh.geometry.x[:, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    mesh.geometry.x[:, 2] = up + pitch * turns * s
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("mesh", "gap"),
+    [
+        (lambda: strip(6.0, 0.05, 240, spiral(0.3, 0.12))[0], 0.12 - 0.05),
+        (lambda: strip(8.0, 0.05, 160, spiral(0.3, 0.25))[0], 0.25 - 0.05),
+        (lambda: coil(2.25, 16), 0.32 - 0.2),
+    ],
+    ids=["spiral", "wide spiral", "coil"],
+)
+def test_the_other_side_of_a_wall_has_no_conditions(mesh, gap):
+    """Where a turn faces no next one, as at the ends, its own wall's other side is nearest."""
+    found = patches_of(mesh(), 0.4)
+    parts = match_contacts(found.surface.boundary, found.pairs)
+    gaps = np.concatenate([part.gap for part in parts])
+    assert gaps.min() == pytest.approx(gap, rel=0.01)
 
 
 @pytest.mark.parametrize("radius", [10.0, 4.0, 1.5])

@@ -177,7 +177,22 @@ def _joined(boundary: MeshBoundary, parts: Parts) -> JoinedPairs:
             ("slave", "master"), of_sides, (contacts[0].normal, None), strict=True
         )
     )
+    slave, master = (
+        replace(surface, depth=_depths(contacts, part))
+        for surface, part in zip((slave, master), sides, strict=True)
+    )
     return JoinedPairs(contacts, slave, master)
+
+
+def _depths(contacts: Sequence[ContactPair], facets: Sequence[Indices]) -> Vector | None:
+    """Return how far behind facets the other surfaces may be [m]; None if none is of a patch."""
+    if not any(isinstance(contact, Patch) for contact in contacts):
+        return None
+    depths = (
+        contact.depth_at(part) if isinstance(contact, Patch) else np.full(part.size, np.inf)
+        for contact, part in zip(contacts, facets, strict=True)
+    )
+    return np.concatenate([np.zeros(0), *depths])
 
 
 def _joined_boundary(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any, Literal, TypeAlias
+
+import numpy as np
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, check_friction
@@ -21,6 +23,7 @@ from fenics_tfeti.fem.user_data import (
     is_integer,
     is_number,
 )
+from fenics_tfeti.typing import Indices, Vector
 
 InitialGap: TypeAlias = Literal["geometric", "touching"] | ScalarField
 
@@ -237,8 +240,16 @@ class SelfContact:
             )
 
 
+@dataclass(frozen=True)
 class Patch(ContactPair):
     """Two parts of a surface that face each other now, of a `SelfContact`."""
+
+    # of the facets with tags: half the thickness of the wall behind each [m]
+    depth: Vector = field(default_factory=lambda: np.zeros(0), compare=False)
+
+    def depth_at(self, facets: Indices) -> Vector:
+        """Return the depths (f,) of some of this rank's facets with tags [m]."""
+        return self.depth[np.searchsorted(self.facet_tags.indices, facets)]
 
 
 Contact: TypeAlias = ContactPair | RigidObstacle | SelfContact

@@ -361,6 +361,7 @@ class SelfPatches:
                     partial=True,
                     partners=Mortar(),
                     roles="given",
+                    depth=0.5 * surface.thickness[surface.own[chosen]],
                 )
             pairs.append(pair)
         return replace(self, patches=patches, pairs=tuple(pairs))

@@ -59,6 +59,9 @@ def measured_penetration(
     depths, places = [], []
     for surface, other, nodes in zip((slave, master), whole[::-1], chosen, strict=True):
         gap, _ = _gaps_to(surface.on(deformed), other.on(deformed), nodes)
+        if surface.depth is not None:
+            # what is deeper is the other side of the node's own wall
+            gap[gap < surface.max_of_facets(-surface.depth)[nodes]] = np.inf
         if contact.initial_gap != "geometric":
             of_mesh, x = _gaps_to(surface, other, nodes)
             if surface is slave:

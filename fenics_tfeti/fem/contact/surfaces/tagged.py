@@ -101,6 +101,7 @@ class Surface:
     size: Vector  # (k,): mean edge length of the smallest of the facets at the node [m]
     facet_nodes: Indices  # (f, t): local nodes of the facets that it owns; see `oriented_facets`
     extent: Vector  # largest coordinates of each surface by magnitude, over all ranks [m]
+    depth: Vector | None = None  # (f,), as of `Facets`
 
     def on(self, boundary: MeshBoundary, normal: Vector | None = None) -> Surface:
         """Return the surface at other places of the nodes. Collective.
@@ -310,6 +311,7 @@ class Surface:
             points[:, : self.normal.shape[1]],
             inverse.reshape(rows.shape),
             None if contact is None else contact[local],
+            None if self.depth is None else self.depth[chosen],
         )
         return SurfaceFacets(nodes, facets, number=None if number is None else number[chosen])
 
@@ -341,6 +343,7 @@ class Surface:
         columns = [split(self.contact, values, count) for values in at_nodes]
         facet_nodes = originals[self.facet_nodes].astype(np.int32)
         columns += [split(self.facet_contact, facet_nodes, count), np.split(self.extent, count)]
+        columns += [split(self.facet_contact, self.depth, count)]
         return [
             Surface(boundary, [name], self.role, *of_contact)
             for name, *of_contact in zip(self.names, *columns, strict=True)
@@ -361,8 +364,10 @@ class Surface:
             for name in ("local", "normal", "area", "size", "extent")
         )
         nodes, names = boundary.nodes.copies(contact, local), [part.names[0] for part in surfaces]
-        role = surfaces[0].role
-        return Surface(boundary, names, role, nodes, normal, area, size, facet_nodes, extent)
+        role, depth = surfaces[0].role, None
+        if surfaces[0].depth is not None:
+            depth = np.concatenate([part.depth for part in surfaces if part.depth is not None])
+        return Surface(boundary, names, role, nodes, normal, area, size, facet_nodes, extent, depth)
 
     def gathered_nodes(self) -> SurfaceNodes:
         """Return the nodes of all ranks in the order of their coordinates. Collective."""
