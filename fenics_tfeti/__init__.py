@@ -43,6 +43,7 @@ _LAZY = {
         "problem": "ContactProblem",
         "report": "ContactReport",
         "sensitivities.adjoint": "Adjoint",
+        "sensitivities.at_finite_strains": "TangentAtFiniteStrains",
         "sensitivities.linear_solves": "LinearSolves",
         "sensitivities.tangent": "Tangent",
     }.items()

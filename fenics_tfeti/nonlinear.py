@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 import ufl
-from dolfinx.fem import Function
+from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged, wrong_type
 from fenics_tfeti.fem import _compat
@@ -36,8 +36,10 @@ from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.newton.stability import instability
 from fenics_tfeti.options import NewtonOptions, contact_options
-from fenics_tfeti.parallel import largest_of_ranks, meet
+from fenics_tfeti.parallel import largest_of_ranks, meet, raise_collectively
 from fenics_tfeti.report import ContactReport
+from fenics_tfeti.sensitivities.at_finite_strains import TangentAtFiniteStrains
+from fenics_tfeti.sensitivities.forms import FormsAtSolution
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
@@ -151,6 +153,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             displacement=u,
         )
         self._instability: list[str] = []
+        self._end: tuple[LoadCase, NewtonState] | None = None  # of the last solve
         self._gradients = CellGradients(self.space)
         ratios = list(compressibility(self._torn.torn.subdomains).values())
         largest = largest_of_ranks(self.space.mesh.comm, ratios) or 1.0
@@ -331,13 +334,53 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
                 self.report,
             )
 
+    def tangent(
+        self, data: Mapping[Function | Constant, Any], *, rtol: float = 1e-8
+    ) -> TangentAtFiniteStrains:
+        """Return what the solution changes by along changes of the data. Collective.
+
+        It is one linear solve with the whole derivative at the last state, contact that turns and
+        moves with both surfaces included, on the conditions that press and stick there.
+
+        Parameters
+        ----------
+        data : mapping
+            Of Functions and Constants of F and of Dirichlet conditions to changes of their values:
+            a Function or array, or for Constants numbers.
+        rtol : float
+            Part of the right-hand side that GMRES leaves.
+
+        Returns
+        -------
+        TangentAtFiniteStrains
+            The change of the displacement and of the normal forces.
+
+        Raises
+        ------
+        InputError
+            The problem is not solved, or has changed since; a rigid body or a bolt has motions.
+
+        Examples
+        --------
+        >>> tangent = problem.tangent({E: 1e6, pressure: -1e3})  # doctest: +SKIP
+        >>> tangent.u, tangent.nodal_normal_force("joint")  # doctest: +SKIP
+        """
+        with raise_collectively(self.space.mesh.comm):
+            if self._end is None or not (self._is_solved and self.report.converged):
+                raise InputError("there is nothing to differentiate: call solve(), and let it end")
+        load_case, state = self._end
+        forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, None, self.u)
+        tangent = TangentAtFiniteStrains(forms, load_case, self._iteration, state, data, rtol)
+        self._solver = self._iteration.solver
+        return tangent
+
     def _solve(
         self,
         coarse: NonlinearContactProblem | None,
         monitor: Monitor | None,
         checkpoint: str | os.PathLike[str] | None,
     ) -> None:
-        self._is_solved, self._instability = False, []
+        self._is_solved, self._instability, self._end = False, [], None
         self._refresh()
         if coarse is not None:
             self._start_from(coarse)
@@ -385,7 +428,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             self._instability = instability(load_case, state, set_up)
         reason = f"equilibrium: {iteration.steps[-1]}"
         self._report = replace(self.report, converged=True, reason=reason)
-        self._is_solved = True
+        self._is_solved, self._end = True, (load_case, state)
 
     def _new_iteration(self, load_case: LoadCase) -> NewtonIteration:
         """Return Newton's method at the present load, or along the path that is followed."""

@@ -161,6 +161,16 @@ class NewtonIteration:
                 return
         raise NotConverged(self._not_converged(state))
 
+    def linearised(self, state: NewtonState) -> tuple[Face, FrozenSetup]:
+        """Return the face of a state in equilibrium, and a set-up for it. Collective."""
+        face = self._load_case.face_of(state)
+        if self.set_up is not None and self.set_up.serves(self._load_case, face):
+            return face, self.set_up
+        self._frozen, self._follows_path = None, True
+        face = self._solve_linearised(state, None).face
+        assert self.set_up is not None
+        return face, self.set_up
+
     def described_solution(self) -> TornSolution:
         """Return the last solution, with the motions that nothing resists. Collective."""
         if self._find_free_motions is not None:

@@ -19,9 +19,12 @@ from fenics_tfeti.typing import Vector
 
 @dataclass(frozen=True)
 class FormsAtSolution:
-    """The forms a(u, v) and L(v) of a problem, and a functional J(u) if there is one."""
+    """The forms a(u, v) and L(v) of a problem, and a functional J(u) if there is one.
 
-    a: ufl.Form
+    Without a, L is all of the residual, with u in it.
+    """
+
+    a: ufl.Form | None
     L: ufl.Form
     J: ufl.Form | None
     u: Function
@@ -33,7 +36,7 @@ class FormsAtSolution:
 
     def depend_on(self, m: Function | Constant) -> bool:
         """Tell whether a Function or a Constant stands in the forms or in J."""
-        forms = [self.a, self.L] + ([] if self.J is None else [self.J])
+        forms = [form for form in (self.a, self.L, self.J) if form is not None]
         return any(m is c for form in forms for c in (*form.coefficients(), *form.constants()))
 
     def derivative_of_J(self) -> Vector:
@@ -46,6 +49,7 @@ class FormsAtSolution:
 
     def internal_forces(self, z: Function) -> Vector:
         """Return K z at the degrees of freedom that this rank owns. Collective."""
+        assert self.a is not None
         return _compat.assembled(
             ufl.replace(self.a, {self.a.arguments()[1]: z}), self.u.function_space
         )
@@ -61,8 +65,10 @@ class FormsAtSolution:
 
     def _residual(self, v: Any) -> ufl.Form:
         """Return L(v) - a(u, v)."""
-        test, trial = self.a.arguments()
         load = ufl.replace(self.L, {self.L.arguments()[0]: v})
+        if self.a is None:
+            return load
+        test, trial = self.a.arguments()
         return load - ufl.replace(self.a, {test: v, trial: self.u})
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from dolfinx.fem import Constant, Function
+from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
@@ -39,9 +39,7 @@ from fenics_tfeti.parallel import (
 )
 from fenics_tfeti.sensitivities.forms import (
     FormsAtSolution,
-    check_dependence,
 )
-from fenics_tfeti.sensitivities.supports import prescribed_entries
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
@@ -126,43 +124,13 @@ class SolvedState:
             if isinstance(found.tie, PeriodicPair | BoltPreload)
         }
 
-    def prescribed_changes(
-        self, data: Mapping[Any, Any]
-    ) -> tuple[Vector, list[tuple[Function | Constant, Any]]]:
-        """Return changes (n,) of prescribed displacements, and the data that stand in forms."""
-        space = self.forms.u.function_space
-        size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
-        prescribed, in_forms = np.zeros(size), []
-        for m, dm in data.items():
-            at, entries = prescribed_entries(space, self.torn.bcs, self.contact_set.prescribed, m)
-            values = np.ravel(dm.x.array if isinstance(dm, Function) else dm)
-            values = np.broadcast_to(
-                values, np.size(m.value if isinstance(m, Constant) else m.x.array)
-            )
-            own = at < size
-            prescribed[at[own]] = values[entries[own]]
-            stands = self.forms.depend_on(m)
-            check_dependence(m, any_rank(space.mesh.comm, [at.size > 0]) or stands)
-            if stands:
-                in_forms.append((m, dm))
-        return prescribed, in_forms
-
     def parts_of(self, name: str | int) -> list[tuple[FoundContact, Numbers]]:
         """Return the parts of a contact, by name or number, in order, with their rows."""
-        found = self.contact_set.contacts
-        parts = [
-            (contact, own)
-            for contact, own in zip(found, self.contact_set.positions, strict=True)
-            if name in (contact.number, contact.conditions.name)
-        ]
-        if not parts:
-            names = sorted({contact.conditions.name for contact in found})
-            raise InputError(f"there is no contact {name!r}; there are {names}")
-        return parts
+        return parts_of_contact(self.contact_set, name)
 
     def rows_of(self, name: str | int) -> Numbers:
         """Return the rows of a contact."""
-        return np.concatenate([own for _, own in self.parts_of(name)])
+        return rows_of_contact(self.contact_set, name)
 
     def tie_of(self, name: str | int) -> tuple[FoundTie, Numbers] | None:
         """Return a tie, by name or number, with its rows among those of all ties; None for none."""
@@ -310,3 +278,24 @@ class SolvedState:
         after, before = (self.contact_set.motions_after(x) for x in (solution.displacements, none))
         motions = [x - y for x, y in zip(after, before, strict=True)]
         return self.torn.fill(u, bodies.moved(motions), is_small=True), motions
+
+
+def parts_of_contact(
+    contact_set: ContactSet, name: str | int
+) -> list[tuple[FoundContact, Numbers]]:
+    """Return the parts of a contact, by name or number, in order, with their rows."""
+    found = contact_set.contacts
+    parts = [
+        (contact, own)
+        for contact, own in zip(found, contact_set.positions, strict=True)
+        if name in (contact.number, contact.conditions.name)
+    ]
+    if not parts:
+        names = sorted({contact.conditions.name for contact in found})
+        raise InputError(f"there is no contact {name!r}; there are {names}")
+    return parts
+
+
+def rows_of_contact(contact_set: ContactSet, name: str | int) -> Numbers:
+    """Return the rows of a contact."""
+    return np.concatenate([own for _, own in parts_of_contact(contact_set, name)])

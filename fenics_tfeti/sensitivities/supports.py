@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -13,6 +13,8 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Prescribed
+from fenics_tfeti.parallel import any_rank
+from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_dependence
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -55,3 +57,22 @@ def _numbered(m: Function | Constant) -> Iterator[Any]:
         yield set_first
     finally:
         values[...] = kept
+
+
+def prescribed_changes(
+    forms: FormsAtSolution, bcs: Sequence[Any], prescribed: Prescribed, data: Mapping[Any, Any]
+) -> tuple[Vector, list[tuple[Function | Constant, Any]]]:
+    """Return changes (n,) of prescribed displacements, and data that stand in forms. Collective."""
+    space = forms.u.function_space
+    size = space.dofmap.index_map.size_local * space.dofmap.index_map_bs
+    changes, in_forms = np.zeros(size), []
+    for m, dm in data.items():
+        at, entries = prescribed_entries(space, bcs, prescribed, m)
+        values = np.ravel(dm.x.array if isinstance(dm, Function) else dm)
+        of_m = np.size(m.value if isinstance(m, Constant) else m.x.array)
+        own, stands = at < size, forms.depend_on(m)
+        changes[at[own]] = np.broadcast_to(values, of_m)[entries[own]]
+        check_dependence(m, any_rank(space.mesh.comm, [at.size > 0]) or stands)
+        if stands:
+            in_forms.append((m, dm))
+    return changes, in_forms

@@ -27,6 +27,7 @@ from fenics_tfeti.sensitivities.forms import (
 )
 from fenics_tfeti.sensitivities.linear_solves import LinearSolves
 from fenics_tfeti.sensitivities.state import SolvedState
+from fenics_tfeti.sensitivities.supports import prescribed_changes
 from fenics_tfeti.typing import Vector
 
 
@@ -64,7 +65,9 @@ class Change:
                 for name, given in named.items():
                     own, values = state.weights(name, given, (), f"{label}[{name!r}]")
                     bound[state.sites_of(name)] += values * factor[own]
-        prescribed, in_forms = state.prescribed_changes(data)
+        prescribed, in_forms = prescribed_changes(
+            state.forms, state.torn.bcs, state.contact_set.prescribed, data
+        )
         return Change(state.forms.change(in_forms), prescribed, gap, bound)
 
 
