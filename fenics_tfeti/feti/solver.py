@@ -26,6 +26,7 @@ from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.constraints.rows import build_constraints
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.factors.supernodal import Orderings
@@ -65,9 +66,10 @@ class TornSolution:
         u_i by (11.29), in equilibrium with the multipliers; copies of a node differ by what the
         stopping test leaves [m].
     normal_force : (contact rows of this rank,) array
-        Nodal normal force of each contact row that this rank gave [N].
+        Nodal normal force of each contact row that this rank gave; negative where a spring pulls
+        [N].
     active : (contact rows of this rank,) bool array
-        Whether the row is active; of a held row whether it is a row of the problem.
+        Whether the row presses; of a held row whether it is a row of the problem.
     tied_force : (tied rows of this rank,) array
         Force of each tied row that this rank gave, on the slave against the direction of the
         slave's sum [N].
@@ -105,8 +107,8 @@ class TornSolver:
 
     For a sequence of systems, give each solver the one before: factors are reused where the
     stiffness matrices are the same objects, the coarse problem, F, its norm and the preconditioner
-    where the constraint rows are equal too (whatever their gaps), and the iterations start from the
-    last multipliers.
+    where the constraint rows are equal too (whatever their gaps and compliances), and the
+    iterations start from the last multipliers.
 
     Parameters
     ----------
@@ -188,6 +190,7 @@ class TornSolver:
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
             constraints, c = hold_ground(constraints, c, local.unknowns)
+            springs = Springs.build(system, constraints)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             if same_B:
@@ -204,7 +207,7 @@ class TornSolver:
                 )
                 projector = Projector.build(coarse_space, Face.whole(constraints))
         with phase("feasible start"):
-            data = self._data(local, projector, c, constraints.friction)
+            data = self._data(local, projector, c, constraints.friction, springs)
         with phase("factorisation"):
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
@@ -227,7 +230,12 @@ class TornSolver:
         interruption.check(self.system.comm)
 
     def _data(
-        self, local: LocalSetup, projector: Projector, c: Vector, friction: FrictionRows
+        self,
+        local: LocalSetup,
+        projector: Projector,
+        c: Vector,
+        friction: FrictionRows,
+        springs: Springs | None,
     ) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
@@ -244,6 +252,7 @@ class TornSolver:
             e,
             c,
             local.unit,
+            springs=springs,
             close_gaps=self.options.method != "smalbe",
         )
         feasible = self._balance(bound)
@@ -253,7 +262,9 @@ class TornSolver:
                 np.concatenate([np.zeros(0), *(s.size_of_load for s in system.subdomains)])
             )
         )
-        return ContactData(load, c, e, size, feasible, bound, friction.own_bound, radius)
+        return ContactData(
+            load, c, e, size, feasible, bound, friction.own_bound, radius, springs=springs
+        )
 
     def _first_state(
         self, previous: TornSolver | None, guess: ContactGuess | None, start: SavedState | None

@@ -219,6 +219,11 @@ class ContactRows:
     held : (rows,) bool array, optional
         Contact rows that hold with equality, whatever the sign of their force: those of a face of
         the contact problem, in the steps of Newton's method. None by default.
+    compliance : (rows, 2) array, optional
+        Springs between the surfaces of contact rows: how far a unit of force closes the row where
+        it presses, and opens it where it pulls [m/N]. Zero is rigid, infinity in the second column
+        lets surfaces come apart: 0 and infinity, the default, are those of contact. The force of a
+        row is that of its node; gaps are counted from ``gap``.
 
     Examples
     --------
@@ -243,17 +248,21 @@ class ContactRows:
     slaves: Numbers | None = None
     area: Vector | None = None
     held: Mask | None = None
+    compliance: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
         if self.held is None:
             _set(self, "held", np.zeros(np.shape(self.gap), dtype=bool))
+        if self.compliance is None:
+            _set(self, "compliance", np.tile([0.0, np.inf], (*np.shape(self.gap), 1)))
         if self.slaves is None:
             _set(self, "slaves", np.ones(np.shape(self.gap), dtype=np.int64))
         if self.area is None:
             _set(self, "area", np.full(np.shape(self.gap), np.nan))
         _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64, slaves=np.int64)
         _convert(self, coefficients=np.float64, gap=np.float64, area=np.float64, held=np.bool_)
+        _convert(self, compliance=np.float64)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
@@ -322,6 +331,7 @@ class ContactRows:
             np.concatenate([np.asarray(part.slaves) for part in parts]),
             np.concatenate([np.asarray(part.area) for part in parts]),
             np.concatenate([np.asarray(part.held) for part in parts]),
+            np.concatenate([np.asarray(part.compliance) for part in parts]),
         )
 
     def chosen(self, rows: Numbers) -> ContactRows:
@@ -338,6 +348,7 @@ class ContactRows:
             np.asarray(self.slaves)[rows],
             np.asarray(self.area)[rows],
             np.asarray(self.held)[rows],
+            np.asarray(self.compliance)[rows],
         )
 
     def with_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:
@@ -385,6 +396,11 @@ class ContactRows:
     def slave(self) -> Numbers:
         """The slave node of each row, (rows,)."""
         return self.nodes[self.offsets[:-1]]
+
+    @property
+    def has_springs(self) -> Mask:
+        """Whether each row has a spring, (rows,)."""
+        return (np.asarray(self.compliance) != [0.0, np.inf]).any(axis=1)
 
     @property
     def on_slave(self) -> NDArray[np.bool_]:

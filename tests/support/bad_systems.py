@@ -143,6 +143,12 @@ CONTACTS: list[Mistake] = [
     (rows(gap=at(4, np.nan)), "contacts.gap", "1 of 16", "NaN"),
     (rows(held=lambda h: h.astype(int)), "contacts.held", "int64", "truth values", "numpy.bool"),
     (rows(held=lambda h: h[1:]), "contacts.held", "(15,)", "expected (16,)"),
+    (rows(compliance=lambda c: c[1:]), "contacts.compliance", "(15, 2)", "expected (16, 2)"),
+    (rows(compliance=at((4, 0), -1.0)), "compliance", "1 rows", "row 4 (joint)", "-1 where it pr"),
+    (rows(compliance=at((4, 0), np.inf)), "compliance", "1 rows", "row 4 (joint)", "inf where it"),
+    (rows(compliance=at((4, 1), np.nan)), "compliance", "1 rows", "nan where it pulls"),
+    (rows(compliance=at((4, 1), 1.0), held=at(4, True)), "compliance", "1 rows that hold", "row 4"),
+    (rows(compliance=at((4, 1), 1.0), gap=at(4, np.inf)), "compliance", "infinite gap", "row 4"),
     (rows(contact=at(4, -1)), "contacts.contact", "-1"),
     (rows(contact=at(4, 10**9)), "contacts.contact", "1000000000", "16 contact rows", "0, 1, ..."),
 ]

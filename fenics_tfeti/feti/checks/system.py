@@ -406,6 +406,8 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     _check_range(f"{what}.contact", rows.contact, np.iinfo(np.int64).max)
     _check_fields(label, rows, np.float64, area=(k,))
     _check_fields(label, rows, np.bool_, held=(k,))
+    _check_fields(label, rows, np.float64, compliance=(k, 2))
+    _check_compliance(what, rows, names)
     if np.any(np.asarray(rows.area) < 0.0) or np.any(np.isinf(np.asarray(rows.area))):
         raise InputError(
             f"{what}.area: an area is finite and at least 0; NaN stands for the length"
@@ -416,6 +418,32 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     _check_fields(label, rows, np.float64, coefficients=(rows.nodes.size, gdim))
     _check_finite(f"{what}.coefficients", rows.coefficients)
     _check_normals(what, rows, names)
+
+
+def _check_compliance(what: str, rows: ContactRows, names: Sequence[str]) -> None:
+    """Check that springs resist, and that rows with springs are contact rows that are not held."""
+    pressed, pulled = np.asarray(rows.compliance).T
+    wrong = np.flatnonzero(~((pressed >= 0.0) & np.isfinite(pressed) & (pulled >= 0.0)))
+    if wrong.size:
+        raise InputError(
+            f"{what}.compliance: {wrong.size} rows have compliances that are no springs, the first "
+            f"is {_row(rows, wrong[0], names)} with {pressed[wrong[0]]:g} where it presses and "
+            f"{pulled[wrong[0]]:g} where it pulls. Give numbers from 0 on, the second infinite "
+            "where surfaces come apart"
+        )
+    others = np.flatnonzero(rows.has_springs & (np.asarray(rows.held) | (what == "tied")))
+    if others.size:
+        raise InputError(
+            f"{what}.compliance: {others.size} rows that hold with equality have springs, the "
+            f"first is {_row(rows, others[0], names)}. Give springs to contact rows that are not "
+            "held"
+        )
+    apart = np.flatnonzero(np.isfinite(pulled) & ~np.isfinite(rows.gap))
+    if apart.size:
+        raise InputError(
+            f"{what}.compliance: {apart.size} rows have springs that pull over an infinite gap, "
+            f"the first is {_row(rows, apart[0], names)}. Give them infinity, or a gap"
+        )
 
 
 def _check_offsets(what: str, rows: ContactRows, names: Sequence[str]) -> None:

@@ -23,6 +23,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import LoadedGroup, raise_unresisted, split_by_groups
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.friction import SlipBound
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import SURFACE, ZERO
 from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
@@ -41,6 +42,7 @@ def feasible_start(
     unit: float,
     bound: SlipBound,
     *,
+    springs: Springs | None = None,
     close_gaps: bool,
     explain: bool = True,
 ) -> Vector:
@@ -48,17 +50,18 @@ def feasible_start(
 
     Bodies are rigid and contact rows are springs of a part of the stiffness `unit` [N/m], with
     friction of any stiffness; equality rows that resist motions weakly, as soft springs do, are
-    springs too. With close_gaps, for the first active set and the first bounds of Coulomb's law,
-    gaps have to be closed before contact presses also where no soft support resists; SMALBE-M,
-    which adds to these forces, takes fewer products from the smallest ones. Raises
-    `UnresistedMotion` if no admissible forces balance the load e = R'f (11.16); `explain` adds, at
-    a cost, how much friction it would take. Collective.
+    springs too. Contact rows with springs that may pull hold bodies as equality rows do. With
+    close_gaps, for the first active set and the first bounds of Coulomb's law, gaps have to be
+    closed before contact presses also where no soft support resists; SMALBE-M, which adds to these
+    forces, takes fewer products from the smallest ones. Raises `UnresistedMotion` if no admissible
+    forces balance the load e = R'f (11.16); `explain` adds, at a cost, how much friction it would
+    take. Collective.
     """
     constraints = coarse_space.constraints
-    supports = Projector.build(coarse_space, Face.supports(constraints))
+    supports = Projector.build(coarse_space, Face.supports(constraints, springs))
     start = np.zeros(constraints.size)
     # soft supports would be stretched far by what contact can carry
-    resistance = coarse_space.resistance_of_supports()
+    resistance = coarse_space.resistance_of_supports(springs)
     if resistance.values.size:
         free, soft = resistance.free, resistance.resisted
         prescribed = coarse_space.prolong(supports.coefficients(c))

@@ -28,6 +28,7 @@ from fenics_tfeti.feti.coarse.resistance import Resistance, weak_motions
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.factors.cholesky import available_packages
 from fenics_tfeti.feti.local.congruence import CongruenceClass, dense_if_small
 from fenics_tfeti.feti.system import TornSystem
@@ -230,12 +231,14 @@ class CoarseSpace:
             return of_supports
         return self._resistance(face, below)
 
-    def resistance_of_supports(self) -> Resistance:
+    def resistance_of_supports(self, springs: Springs | None = None) -> Resistance:
         """Return the motions of bodies that equality rows resist softly, or not at all.
 
-        Collective at first.
+        With springs, those that these do not resist either. Collective at first.
         """
-        return self._of_supports
+        if springs is None or not self._of_supports.values.size:
+            return self._of_supports
+        return self._resistance(Face.supports(self.constraints, springs), SOFT)
 
     @cached_property
     def _of_supports(self) -> Resistance:

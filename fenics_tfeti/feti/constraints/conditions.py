@@ -104,9 +104,10 @@ def condition_rows(
     # there is no friction where there is nothing to touch, and none of a normal force where the gap
     # stays open
     stays_open = ~free & (gap > tolerance)
+    soft = np.asarray(contacts.compliance)[:, 0] > 0.0
     finite[slip] &= finite[normal[slip]] & (bounded[slip] | ~stays_open[normal[slip]])
     with raise_collectively(comm):
-        decided = finite & ~free & ~slip & ~np.asarray(contacts.held)
+        decided = finite & ~free & ~slip & ~np.asarray(contacts.held) & ~soft
         _check_decided_rows(contacts, tied, gap, tolerance, decided)
         check_slides(contacts, direction, np.where(finite, gap, 0.0), tolerance, free)
     kept = finite & free
@@ -124,6 +125,8 @@ def condition_rows(
             direction,
             np.where(slip, number + normal, -1),
             bounded,
+            contacts.has_springs,
+            soft,
         ),
         _free_terms(system, terms, kept, number, directory),
         system.gdim,

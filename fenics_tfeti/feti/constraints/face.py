@@ -8,8 +8,10 @@ have the size of their bound:
 
 E are unit rows and, where a site slips in three dimensions, the combination of its two rows across
 the force: a force that keeps its size turns on the circle |l_T| = r, to first order along the
-tangent, and the cost has the curvature |slip| / r. A proximal term |l - centre|^2 / (2 rho) of the
-rows with bounds may be added to the cost. With both the second derivative of the cost is F + C.
+tangent, and the cost has the curvature |slip| / r. Contact rows with springs have the cost
+C l^2 / 2; those that may pull are on every face, and the active ones of them press. A proximal term
+|l - centre|^2 / (2 rho) of the rows with bounds may be added to the cost. With all of these the
+second derivative of the cost is F + C.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Vector
 
@@ -43,12 +46,14 @@ class Face:
 
     constraints: Constraints
     rows: Mask  # (m,): rows of B on it
+    active: Mask  # (i,): the contact rows that press; others with springs that pull are on it, too
     # (m,): friction forces of sites that slip, as multipliers; those of other sites do not matter
     forces: Vector
     # (k,): slip along the force / r, the second derivative of the cost for a force that turns
     curvature: Vector
     # (k, 2): unit vectors across the forces that turn, zero at other sites; None if none may turn
     tangents: Vector | None = None
+    springs: Springs | None = None
     proximal: Proximal | None = None
 
     @staticmethod
@@ -58,19 +63,19 @@ class Face:
         sticking: Mask | None = None,
         forces: Vector | None = None,
         curvature: Vector | None = None,
+        springs: Springs | None = None,
     ) -> Face:
-        """Return the face of contact rows (i,) that are closed and sites (k,) that stick.
+        """Return the face of contact rows (i,) that press and sites (k,) that stick.
 
         By default no site sticks, and sites that slip have no force. None of the forces turns.
         """
         friction, rows = constraints.friction, constraints.equality
         if sticking is not None:
             rows = rows | friction.on_rows(sticking, constraints.size)
-        rows[constraints.inequality] = active
+        rows[constraints.inequality] = active if springs is None else active | springs.pulling
         forces = np.zeros(constraints.size) if forces is None else forces
-        return Face(
-            constraints, rows, forces, np.zeros(friction.size) if curvature is None else curvature
-        )
+        curvature = np.zeros(friction.size) if curvature is None else curvature
+        return Face(constraints, rows, active, forces, curvature, springs=springs)
 
     @staticmethod
     def of_multipliers(
@@ -79,11 +84,12 @@ class Face:
         radius: Vector,
         active: Mask | None = None,
         slips: Vector | None = None,
+        springs: Springs | None = None,
     ) -> Face:
         """Return the face of feasible multipliers (m,), whose sites stick below their bounds (k,).
 
-        Contact rows (i,) that are active have a force by default. Without `slips` (k, gdim - 1) the
-        cost has no curvature.
+        Contact rows (i,) that are active press by default. Without `slips` (k, gdim - 1) the cost
+        has no curvature.
         """
         forces = constraints.friction.at_sites(multipliers)
         sticking = balls.inside(forces, radius)
@@ -92,28 +98,26 @@ class Face:
             curvature = np.where(sticking, 0.0, balls.curvature(forces, slips, radius))
         if active is None:
             active = multipliers[constraints.inequality] > 0.0
-        return Face.of(constraints, active, sticking, multipliers, curvature)
+        return Face.of(constraints, active, sticking, multipliers, curvature, springs)
 
     @staticmethod
     def of_rows(constraints: Constraints, rows: Mask) -> Face:
         """Return the face of some rows (m,), with zero multipliers of the others."""
         none = np.zeros(constraints.friction.size)
-        return Face(constraints, rows, np.zeros(constraints.size), none)
+        active = rows[constraints.inequality]
+        return Face(constraints, rows, active, np.zeros(constraints.size), none)
 
     @staticmethod
-    def supports(constraints: Constraints) -> Face:
-        """Return the face of the equality rows."""
-        return Face.of_rows(constraints, constraints.equality)
+    def supports(constraints: Constraints, springs: Springs | None = None) -> Face:
+        """Return the face of the equality rows, and of springs that may pull."""
+        return Face.of(
+            constraints, np.zeros(constraints.inequality.size, dtype=bool), springs=springs
+        )
 
     @staticmethod
     def whole(constraints: Constraints) -> Face:
         """Return all multipliers."""
         return Face.of_rows(constraints, np.ones(constraints.size, dtype=bool))
-
-    @cached_property
-    def active(self) -> Mask:
-        """The contact rows (i,) that are closed."""
-        return self.rows[self.constraints.inequality]
 
     @cached_property
     def sticking(self) -> Mask:
@@ -148,8 +152,8 @@ class Face:
 
     def with_rows(self, active: Mask, sticking: Mask) -> Face:
         """Return the face with other contact rows and sites."""
-        rows = Face.of(self.constraints, active, sticking).rows
-        return replace(self, rows=rows)
+        rows = Face.of(self.constraints, active, sticking, springs=self.springs).rows
+        return replace(self, rows=rows, active=active)
 
     def with_turning_forces(self, but: Mask | None = None) -> Face:
         """Return the face with the forces of sites that slip turning, but for some sites (k,).
@@ -186,14 +190,38 @@ class Face:
         return chosen
 
     @property
-    def compliance(self) -> float:
+    def proximal_compliance(self) -> float:
         """1 / rho, what the proximal term adds to C on all rows with bounds [m/N]."""
         return 0.0 if self.proximal is None else 1.0 / self.proximal.stiffness
 
     @property
     def has_terms(self) -> bool:
         """Whether there are terms beside 1/2 l'Fl - d'l."""
-        return self.proximal is not None or self.tangents is not None
+        return any(part is not None for part in (self.proximal, self.tangents, self.springs))
+
+    @cached_property
+    def spring_compliance(self) -> Vector | None:
+        """The part of springs of the diagonal of C (m,) [m/N]; None without springs."""
+        if self.springs is None:
+            return None
+        compliance = np.zeros(self.rows.size)
+        compliance[self.constraints.inequality] = self.springs.at(self.active)
+        return compliance
+
+    @property
+    def compliance(self) -> Vector | None:
+        """The diagonal of C (m,) without forces that turn [m/N]; None where it vanishes."""
+        if self.proximal is None:
+            return self.spring_compliance
+        bounded = self.rows & ~self.constraints.equality
+        compliance = np.where(bounded, self.proximal_compliance, 0.0)
+        springs = self.spring_compliance
+        return compliance if springs is None else compliance + springs
+
+    def closed_by_springs(self, multipliers: Vector) -> Vector | float:
+        """Return what forces (m,) close springs by."""
+        springs = self.spring_compliance
+        return 0.0 if springs is None else springs * multipliers
 
     def curved(self, x: Vector) -> Vector:
         """Return Cx, with the second derivative C of the terms beside 1/2 l'Fl."""
@@ -201,6 +229,8 @@ class Face:
         if self.proximal is not None:
             bounded = self.rows & ~self.constraints.equality
             product = np.where(bounded, x, 0.0) / self.proximal.stiffness
+        if self.springs is not None:
+            product += self.closed_by_springs(x)
         if self.tangents is not None:
             friction = self.constraints.friction
             size = self.curvature * np.sum(friction.at_sites(x) * self.tangents, axis=1)

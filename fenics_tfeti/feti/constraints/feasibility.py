@@ -27,9 +27,13 @@ def check_conditions(system: TornSystem, constraints: Constraints, c: Vector) ->
     if not coupling.groups:
         return
     (gaps,) = coupling.gather(c)
+    own_rows = constraints.contacts.own_rows
+    soft = (np.asarray(system.contacts.compliance)[:, 0] > 0.0) & (own_rows >= 0)
+    soft_rows = concatenate_ranks(system.comm, constraints.layout.numbers[own_rows[soft]])
+    # neither friction nor rows that give way demand anything of displacements
+    demanding = ~coupling.tangential & ~np.isin(coupling.numbers, soft_rows)
     for group in coupling.groups:
-        # friction demands nothing of displacements
-        members = group[~coupling.tangential[group]]
+        members = group[demanding[group]]
         # a tied row is two conditions
         tied = np.flatnonzero(coupling.tied[members])
         both = np.append(np.arange(members.size), tied)

@@ -202,15 +202,15 @@ class FrictionRows:
         rows = np.where(self.present, places[self.rows], -1)
         return replace(self, rows=rows, normal=np.append(places, -1)[self.normal])
 
-    def multiplier_set(self, inequality: Numbers, shift: Vector, radius: Vector) -> ProductSet:
+    def multiplier_set(self, pushing: Numbers, shift: Vector, radius: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, with lambda_I >= o and |lambda_T| <= r.
 
-        `inequality` (i,) are the local positions of the inequality rows, ascending, `shift`
+        `pushing` (i,) are the local positions of the rows that do not pull, ascending, `shift`
         (m,) is lambda~, and `radius` (k,) is r of each site.
         """
         below = np.full(shift.size, -np.inf)
         above = np.full(shift.size, np.inf)
-        below[inequality] = -shift[inequality]
+        below[pushing] = -shift[pushing]
         several = self.present.all(axis=1) & (self.rows.shape[1] == 2)
         alone = self.present & ~several[:, None]
         rows, half = self.rows[alone], np.broadcast_to(radius[:, None], alone.shape)[alone]

@@ -3,9 +3,10 @@
 Conditions are compared with all their terms; those at rigid bodies count as what they do to the
 motions of the body. Equal conditions have one row of B and share its force by their areas: contact
 rows with the same normal and gap, tied rows of surfaces that are tied twice, tangential rows with
-the same slip whose contact rows are one. Of parallel contact rows with other gaps those with the
-smallest one alone can touch. A condition that is a sum of tied rows is decided by them and has no
-row. A contact row without a row has no force that friction could be a part of.
+the same slip whose contact rows are one. Rows with springs always have their own. Of parallel
+contact rows with other gaps those with the smallest one alone can touch. A condition that is a sum
+of tied rows is decided by them and has no row. A contact row without a row has no force that
+friction could be a part of.
 
 The rows that remain need not be orthogonal to each other: their Gram matrix W is the part of
 B D^{-1} B' = blockdiag(I, W) that differs from the identity.
@@ -59,6 +60,8 @@ class Conditions:
     direction: Numbers  # (k,): number of the tangent
     normal: Numbers  # (k,): number of the contact row of tangential rows; -1 of others
     bounded: Mask  # (k,): tangential rows with a slip bound that needs no normal force
+    spring: Mask  # (k,): contact rows with a spring
+    soft: Mask  # (k,): contact rows that give way where they press
 
     def chosen(self, rows: Mask) -> Conditions:
         """Return some of the conditions."""
@@ -179,7 +182,7 @@ class _Compared:
         gram = (C @ C.T).tocsr()
         decided, left, tolerance = _decided_by_ties(rows, matrix, gram)
         i, j, sign = _parallel_pairs(matrix, gram)
-        contradicted = decided & (rows.site < 0) & (left < -tolerance)
+        contradicted = decided & (rows.site < 0) & ~rows.soft & (left < -tolerance)
         _check_room(rows, i, j, sign, contradicted, matrix, columns // gdim)
         closed = decided & (np.abs(left) <= tolerance)
         return _Compared(rows, matrix, gram, columns < 0, decided, closed, i, j, sign)
@@ -188,7 +191,9 @@ class _Compared:
         """Return the condition whose row each one has, or -1, and its share of the row's force."""
         rows, friction = self.conditions, self.conditions.site >= 0
         alike = np.where(rows.tied[self.i], rows.tied[self.j], ~rows.tied[self.j] & (self.sign > 0))
-        alike &= ~(self.decided | friction)[self.i] & ~(self.decided | friction)[self.j]
+        # springs side by side have rows of their own
+        alone = self.decided | friction | rows.spring
+        alike &= ~alone[self.i] & ~alone[self.j]
         group = _components(self.i[alike], self.j[alike], rows.number.size)
         # the first tied row, or the first of the contact rows with the smallest gap
         row = _first_of_groups(group, rows.number, np.where(rows.tied, 0.0, rows.rhs))
@@ -316,7 +321,7 @@ def _check_room(
     The pairs (p,) are parallel with a sign; `contradicted` (k,) are contact rows that tied rows
     violate, and `node` (n,) is that of each column. The data are the same on all ranks.
     """
-    contact = ~rows.tied & (rows.site < 0)
+    contact = ~rows.tied & (rows.site < 0) & ~rows.soft
     tolerance = rows.tolerance[i] + rows.tolerance[j]
     excess = sign * rows.rhs[i] - rows.rhs[j]
     excluded = i[contact[i] & contact[j] & (sign < 0.0) & (excess > tolerance)]

@@ -2,7 +2,8 @@
 
 Each step takes the active contact rows as equalities and drops the others, and solves that linear
 problem by PCPG with the projector of these rows. The signs of forces and gaps give the next active
-set. The method alone may cycle; then another one goes on.
+set. Rows with springs that may pull are never dropped: their branch follows the sign of the force.
+The method alone may cycle; then another one goes on.
 
 With friction sites stick, their tangential rows being equalities, or slip with a force of size r
 in the direction of l - k g with a stiffness k, which turns in the linear problem (Newton's
@@ -136,7 +137,7 @@ class _ActiveSet:
         )
         face = operators.face
         gradient = _without_tensile_rows(problem, face, iterate)
-        active = iterate.multipliers[rows] > gradient[rows] / problem.norm
+        active = _pressing(problem, iterate.multipliers[rows], gradient[rows])
         forces = friction_step(problem, face, iterate.multipliers, gradient)
         sticking = balls.inside(forces, problem.radius)
         changed, size, moved = _counts(
@@ -238,13 +239,23 @@ def _without_tensile_rows(problem: DualProblem, face: Face, iterate: PCPGIterate
     largest = largest_of_ranks(constraints.layout.comm, forces)
     compressive = active & (forces > _NO_FORCE * largest)
     everywhere = np.ones(constraints.friction.size, dtype=bool)
-    tensile, sites = _counts(problem, active & ~compressive, sites=everywhere)
+    leaving = active & ~compressive
+    if problem.springs is not None:
+        leaving &= ~problem.springs.pulling
+    tensile, sites = _counts(problem, leaving, sites=everywhere)
     if sites or not tensile:
         return iterate.gradient
-    face = Face.of(constraints, compressive)
+    face = Face.of(constraints, compressive, springs=problem.springs)
     free = problem.coarse_space.resistance(face).free
     loose = LooseBodies.of(problem.coarse_space, face, free)
     return iterate.gradient if loose is None else loose.at_least_penetration(iterate.gradient)
+
+
+def _pressing(problem: DualProblem, force: Vector, gap: Vector) -> Mask:
+    """Return the contact rows (i,) that press by their multipliers and gaps (i,)."""
+    active: Mask = force > gap / problem.norm
+    springs = problem.springs
+    return active if springs is None else np.where(springs.pulling, force > 0.0, active)
 
 
 def _counts(problem: DualProblem, *masks: Mask, sites: Mask | None = None) -> list[int]:
@@ -300,7 +311,8 @@ def close_first_gaps(problem: DualProblem, face: Face, gradient: Vector) -> Face
         if not work.any():
             return FaceOperators.build(problem, projector)
         speed = coarse_space.contact.T @ work
-        closing = ~active & (speed > ZERO * np.linalg.norm(work))
+        on_face = face.rows[problem.constraints.inequality]
+        closing = ~on_face & (speed > ZERO * np.linalg.norm(work))
         step = np.divide(gap, speed, out=np.full(gap.size, np.inf), where=closing)
         back = -np.sum(friction.at_sites(coarse_space.friction.T @ work) * along, axis=1)
         returning = ~sticking & (back > ZERO * np.linalg.norm(work))
@@ -323,7 +335,7 @@ def _face(
     friction = problem.constraints.friction
     slips = -friction.at_sites(gradient)
     curvature = balls.curvature(friction.at_sites(forces), slips, problem.radius)
-    return Face.of(problem.constraints, active, sticking, forces, curvature)
+    return Face.of(problem.constraints, active, sticking, forces, curvature, problem.springs)
 
 
 def _load(problem: DualProblem, face: Face) -> Vector:

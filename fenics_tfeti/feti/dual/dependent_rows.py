@@ -32,6 +32,10 @@ def closable(problem: DualProblem, face: Face, multipliers: Vector) -> Face | No
     if not coupling.groups:
         return None
     friction, size = constraints.friction, multipliers.size
+    rigid, springs = face.rows, face.spring_compliance
+    if springs is not None:
+        # the cost has a minimum along a combination with springs
+        rigid = rigid & (springs == 0.0)
     forces = np.maximum(multipliers, 0.0)
     forces[friction.flat] = face.forces[friction.flat]
     of_site = (
@@ -40,7 +44,7 @@ def closable(problem: DualProblem, face: Face, multipliers: Vector) -> Face | No
         problem.radius,
     )
     on_tangents = [friction.spread(values, size) for values in of_site]
-    on_face = face.rows.astype(float)
+    on_face = rigid.astype(float)
     coupled = _CoupledRows(coupling, *coupling.gather(on_face, forces, problem.c, *on_tangents))
     before = coupled.on_face.copy()
     for cluster in coupling.clusters:

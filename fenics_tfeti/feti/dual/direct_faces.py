@@ -7,8 +7,9 @@ K of the subdomains, the rows B of a face and a compliance D of the rows,
 
     (B K^+ B' + D)^{-1} = D^{-1} - D^{-1} B (K + B'D^{-1}B)^{-1} B'D^{-1},
 
-which is exact but for a D that is small beside F; curvature of friction and the proximal term are
-in D, too. A factor for each face pays where conjugate gradients have been slow. All ranks have it.
+which is exact but for a D that is small beside F; curvature of friction, springs and the proximal
+term are in D, too. A factor for each face pays where conjugate gradients have been slow. All ranks
+have it.
 """
 
 from __future__ import annotations
@@ -148,12 +149,13 @@ class _Joined:
         constraints, layout = self.constraints, self.constraints.layout
         chosen = np.flatnonzero(face.rows[: layout.owned])
         combinations = [sp.identity(constraints.size, format="csr")[chosen]]
-        compliances = [np.where(constraints.equality[chosen], 0.0, face.compliance)]
+        compliance = face.compliance
+        compliances = [np.zeros(chosen.size) if compliance is None else compliance[chosen]]
         combined = face.combinations()
         if combined is not None:
             turning = constraints.owned_sites & face.turning
             combinations.append(combined[np.flatnonzero(turning)])
-            compliances.append(face.compliance + face.curvature[turning])
+            compliances.append(face.proximal_compliance + face.curvature[turning])
         entries = sp.vstack(combinations).tocoo()
         shape = entries.shape[0], self.B.shape[0]
         part = sp.csr_matrix((entries.data, (entries.row, self.positions[entries.col])), shape)

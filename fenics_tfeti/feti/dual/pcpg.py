@@ -254,8 +254,8 @@ def first_iterate(
     if operators.is_direct:
         return at(l, ())
     # from another face, with a preconditioned step by the residual there: no product of its own
-    alpha, r = start.step_length, -operators.face.part(start.gradient)
-    r = operators.projector.P(r)
+    gaps = start.gradient + operators.face.closed_by_springs(l)
+    alpha, r = start.step_length, operators.projector.P(-operators.face.part(gaps))
     z, rz = _precondition(operators, r, products)
     iterate = at(l + alpha * (z / problem.norm if rz is None else z), (alpha,))
     # which is much too long where contact rows have joined at which stiff parts end
@@ -331,12 +331,18 @@ def _norms(
     """Return the norms of the residual and of what violates the signs; one reduction.
 
     The signs are violated by negative forces (times ||PFP||) on the face and negative gaps off it;
-    with friction also by forces above the bound, and by changes of forces that a slip asks for.
+    where springs pull, by forces with the sign of the other branch; with friction also by forces
+    above the bound, and by changes of forces that a slip asks for.
     """
-    rows = problem.constraints.inequality
+    rows, springs = problem.constraints.inequality, face.springs
     wrong = np.zeros_like(gradient)
     force = problem.norm * multipliers[rows]
     wrong[rows] = np.minimum(np.where(face.active, force, gradient[rows]), 0.0)
+    if springs is not None:
+        # the gap differs from that of the other branch by no more than the compliances do
+        length = np.minimum(problem.norm, np.abs(springs.pulled - springs.pressed))
+        of_branch = length * multipliers[rows] * np.where(face.active, 1.0, -1.0)
+        wrong[rows] = np.where(springs.pulling, np.minimum(of_branch, 0.0), wrong[rows])
     friction = problem.constraints.friction
     if friction.size:
         forces = friction_step(problem, face, multipliers, gradient)

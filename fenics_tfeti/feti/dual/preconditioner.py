@@ -36,6 +36,9 @@ PreconditionerKind = Literal["auto", "lumped", "dirichlet", "none"]
 # bulk over shear modulus from which on the Dirichlet preconditioner takes less time: Poisson's
 # ratio 0.48
 _INCOMPRESSIBLE = 25.0
+# part of the stiffness of a node that springs are compared with: with 1, or without springs in the
+# preconditioner, soft springs take twice the steps
+_SPRINGS = 0.1
 
 
 @dataclass
@@ -58,12 +61,14 @@ class Preconditioner:
     def on(self, face: Face) -> Operator:
         """Return x -> this rank's part of Mx, x zero off the face. Collective.
 
-        M is B_D S B_D', scaled where forces turn, and the inverse of C on what B_D S B_D' does not
-        see.
+        M is B_D S B_D', scaled where forces turn and where springs are, and the inverse of C on
+        what B_D S B_D' does not see.
         """
         precondition = self._of_rows(face.touched)
         if face.tangents is not None:
             precondition = _scaled(precondition, face, self.unit)
+        if face.springs is not None:
+            precondition = _scaled_by_springs(precondition, face, self.unit)
         kernel = self.on_kernel(face)
         if kernel is None:
             return precondition
@@ -120,16 +125,20 @@ class Preconditioner:
         them, but C does. None if C does not see N, on all ranks.
         """
         coupling = self.constraints.coupling
-        if not coupling.groups or (face.tangents is None and not face.compliance):
+        if not coupling.groups or (face.tangents is None and face.compliance is None):
             return None
         kernel = self._inverse_of(face.touched).null.toarray()
         if not kernel.shape[1]:
             return None
-        hessian = face.compliance * np.identity(kernel.shape[1])
+        turned = None
         if face.tangents is not None:
             kernel, turned, curvature = self._turning(kernel, face.tangents, face.curvature)
-            hessian = face.compliance * np.identity(kernel.shape[1])
+        hessian = face.proximal_compliance * np.identity(kernel.shape[1])
+        if turned is not None:
             hessian += turned.T @ (curvature * turned)
+        springs = face.spring_compliance
+        if springs is not None:
+            hessian += kernel.T @ (coupling.gather(springs)[0][:, None] * kernel)
         if not hessian.any():
             return None
         inverse = np.linalg.pinv(hessian, rcond=ZERO, hermitian=True)
@@ -187,6 +196,18 @@ def _scaled(apply: Operator, face: Face, unit: float) -> Operator:
         return x - friction.spread(size[:, None] * tangents, x.size)
 
     return lambda x: scale(apply(scale(x)))
+
+
+def _scaled_by_springs(apply: Operator, face: Face, unit: float) -> Operator:
+    """Return the preconditioner with spring rows scaled for their compliance C.
+
+    The factor 1 in place of `_SPRINGS` is right where F has the inverse `unit`, which it has along
+    the smallest waves of a surface; of larger ones it is more flexible.
+    """
+    springs = face.spring_compliance
+    assert springs is not None
+    scale = 1.0 / np.sqrt(1.0 + _SPRINGS * unit * springs)
+    return lambda x: scale * apply(scale * x)
 
 
 def _without_rounding(x: Vector) -> Vector:

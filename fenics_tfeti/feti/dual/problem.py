@@ -15,6 +15,7 @@ from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.springs import Springs, pushing_rows
 from fenics_tfeti.feti.dual.preconditioner import Preconditioner
 from fenics_tfeti.qp import ProductSet, Space
 from fenics_tfeti.typing import Mask, Vector
@@ -22,7 +23,10 @@ from fenics_tfeti.typing import Mask, Vector
 
 @dataclass(frozen=True)
 class DualProblem:
-    """Minimise 1/2 l'Fl - d'l subject to Gl = e, l_I >= o and |l_T| <= r, (11.36) with friction."""
+    """Minimise 1/2 l'Fl - d'l subject to Gl = e, l_I >= o and |l_T| <= r, (11.36) with friction.
+
+    Rows with springs add C l^2 / 2 to the cost, and those that may pull have no bound.
+    """
 
     F: Callable[[Vector], Vector]  # x -> this rank's part of Fx, F the dual operator
     d: Vector  # (m,): BK^+f - c
@@ -37,6 +41,7 @@ class DualProblem:
     feasible: Vector  # (m,): lambda~ with G lambda~ = e and feasible forces: those of rigid bodies
     d_0: Vector  # (m,): d - F lambda~, the d of (11.39)
     energy_norm: float  # an energy norm as large as the solution's, or larger [sqrt(J)]
+    springs: Springs | None = None  # of contact rows
 
     @property
     def coarse_space(self) -> CoarseSpace:
@@ -53,7 +58,7 @@ class DualProblem:
     ) -> Face:
         """Return the face of multipliers (m,), with forces of sites that slip at the bound.
 
-        Contact rows (i,) that are active have a force by default. Without `slips` (k, gdim - 1) the
+        Contact rows (i,) that are active press by default. Without `slips` (k, gdim - 1) the
         cost has no curvature.
         """
         constraints = self.constraints
@@ -61,12 +66,13 @@ class DualProblem:
             active = multipliers[constraints.inequality] > 0.0
         forces = self.multiplier_set(np.zeros_like(multipliers)).project(multipliers.copy())
         forces = constraints.friction.at_bound(forces, self.radius)
-        return Face.of_multipliers(constraints, forces, self.radius, active, slips)
+        return Face.of_multipliers(constraints, forces, self.radius, active, slips, self.springs)
 
     def multiplier_set(self, shift: Vector) -> ProductSet:
         """Return {x : shift + x is feasible}, without regard to Gl = e."""
         constraints = self.constraints
-        return constraints.friction.multiplier_set(constraints.inequality, shift, self.radius)
+        pushing = pushing_rows(constraints, self.springs)
+        return constraints.friction.multiplier_set(pushing, shift, self.radius)
 
     @property
     def space(self) -> Space:

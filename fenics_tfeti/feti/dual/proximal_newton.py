@@ -6,11 +6,11 @@ For multipliers l_k that are feasible on the rows with bounds, the proximal prob
 
 is the dual of an unconstrained one in the displacements: its cost is that of the bodies and a
 function of the jumps v of the rows with bounds, with the derivative P(l_k + rho v), P the
-projection on the bounds. Newton's method takes the linear part of P, which is a problem on a face
-that PCPG solves, also where rows of the face depend on each other. The cost is convex with a
-continuous derivative, so that with a line search Newton's method converges for any bounds. Along
-the way from one state (l, v) to the next both are linear, and the slope of the cost is
-v'(P(l_k + rho v) - l): the line search takes no product with F.
+projection on the bounds, with springs divided by 1 + rho C. Newton's method takes the linear part
+of P, which is a problem on a face that PCPG solves, also where rows of the face depend on each
+other. The cost is convex with a continuous derivative, so that with a line search Newton's method
+converges for any bounds. Along the way from one state (l, v) to the next both are linear, and the
+slope of the cost is v'(P(l_k + rho v) - l): the line search takes no product with F.
 
 The solution of one proximal problem is the next l_k, and rho grows: the method of multipliers for
 the displacements.
@@ -138,6 +138,14 @@ class _Bounds:
         feasible = self.problem.multiplier_set(np.zeros_like(x))
         return self.chosen(feasible.project(x.copy()))
 
+    def limited(self, x: Vector, stiffness: float) -> Vector:
+        """Return P(x) of the term with a stiffness."""
+        forces, springs = self.project(x), self.problem.springs
+        if springs is not None:
+            rows = self.problem.constraints.inequality
+            forces[rows] /= 1.0 + stiffness * springs.of(forces[rows])
+        return forces
+
     def norm(self, x: Vector) -> float:
         """Return the norm on these rows. Collective."""
         x = self.chosen(x)
@@ -145,7 +153,7 @@ class _Bounds:
 
     def forces(self, term: Proximal, state: PCPGIterate) -> Vector:
         """Return P(l_k + rho v)."""
-        return self.project(term.forces(state.gradient))
+        return self.limited(term.forces(state.gradient), term.stiffness)
 
     def projected(self, term: Proximal, state: PCPGIterate) -> Vector:
         """Return the multipliers with P(l_k + rho v) on these rows."""
@@ -166,14 +174,15 @@ class _Bounds:
         turning = slipping & (radius > 0.0)
         np.divide(length, radius * term.stiffness, out=curvature, where=turning)
         active = unbounded[constraints.inequality] > 0.0
-        forces = self.project(unbounded)
-        return replace(Face.of(constraints, active, ~slipping, forces, curvature), proximal=term)
+        forces, springs = self.project(unbounded), self.problem.springs
+        face = Face.of(constraints, active, ~slipping, forces, curvature, springs)
+        return replace(face, proximal=term)
 
     def slope(self, term: Proximal, state: PCPGIterate, following: PCPGIterate, t: float) -> float:
         """Return the slope of the cost on the way from one state to another. Collective."""
         change = state.gradient - following.gradient
         l = state.multipliers + t * (following.multipliers - state.multipliers)
-        forces = self.project(term.forces(state.gradient - t * change))
+        forces = self.limited(term.forces(state.gradient - t * change), term.stiffness)
         return float(self.problem.space.dots((self.chosen(change), forces - l))[0])
 
 

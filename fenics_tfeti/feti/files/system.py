@@ -37,7 +37,17 @@ _SUBDOMAIN = (
     "motions",
     "load_size",
 )
-_ROWS = ("offsets", "nodes", "coefficients", "gap", "contact", "slaves", "area", "held")
+_ROWS = (
+    "offsets",
+    "nodes",
+    "coefficients",
+    "gap",
+    "contact",
+    "slaves",
+    "area",
+    "held",
+    "compliance",
+)
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
@@ -310,7 +320,8 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
     slaves = file.optional(f"{part}/slaves", "integers", gap.shape)
     area = file.optional(f"{part}/area", "numbers", gap.shape)
     held = file.optional(f"{part}/held", "truth values", gap.shape)
-    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area, held)
+    compliance = file.optional(f"{part}/compliance", "numbers", (gap.size, 2))
+    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area, held, compliance)
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
 
 

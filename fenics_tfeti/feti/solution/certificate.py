@@ -11,6 +11,11 @@ error of u in the energy norm is at most ||u - u_t||_K (Prager and Synge, on the
 With friction J includes r |s| of the slips s = B_T u - c_T, and twice r |s| - lambda_T's is added
 to the square of the bound: zero where nothing slips, or the slip is along a force of size r.
 
+With springs J includes their energies phi and D the dual ones, phi* = C lambda^2 / 2, and twice the
+sum of phi(v) + phi*(lambda) - lambda v is added to the square of the bound, v = B u - c: zero for
+v = C lambda. The energy norms then have twice the energies of springs. The bound is that of the
+solution with the given compliances; what a law makes of them is another matter.
+
 Soft elastic supports are a part of K, with their ground as unknowns that equality rows hold
 (`local.elastic_supports`): u is on y = o, u_t moves the ground a little, and the bound is the same.
 
@@ -70,7 +75,7 @@ class Certificate:
     Attributes
     ----------
     bound : float
-        Bound of ||u - u*||_K, u* the exact solution [sqrt(J)].
+        Bound of ||u - u*||_K, u* the exact solution with these springs [sqrt(J)].
     error : float
         The same relative to ||u_t||_K, which differs from ||u||_K by no more than the bound.
     groups : list of GroupError
@@ -81,12 +86,14 @@ class Certificate:
         Largest ||Ku_t - f + B'lambda|| of a body, relative to its forces.
     penetration : float
         Largest violation of (u_slave - u_master)'n <= gap, in rows whose slave's sum has
-        length 1, relative to the deformation of the bodies that touch there.
+        length 1, relative to the deformation of the bodies that touch there, or of the spring
+        there; of springs that give way it is what they are closed by more than their force does.
     smallest_force : float
         Smallest contact force, relative to the largest of the same contact; negative numbers pull.
+        Springs that may pull do not count.
     complementarity : float
         Largest product of force and distance, relative to the largest force of the contact and the
-        deformation of its bodies.
+        deformation of its bodies. The distance of a spring is that from C lambda.
     friction_excess : float
         Largest excess of a tangential force over its bound, relative to the largest bound of the
         contact.

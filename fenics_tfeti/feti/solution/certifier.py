@@ -11,12 +11,14 @@ import numpy as np
 
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.row_table import Kind
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.local.congruence import times_rows
 from fenics_tfeti.feti.solution.certificate import BodyError, Certificate, GroupError
 from fenics_tfeti.feti.solution.recovery import Recovered
 from fenics_tfeti.feti.solution.setup import DualSetup
 from fenics_tfeti.feti.solution.states import ContactData
-from fenics_tfeti.feti.tolerances import FEW, HARDLY_DEFORMED, UNDEFORMED, ZERO, rounding
+from fenics_tfeti.feti.tolerances import FEW, HARDLY_DEFORMED, MANY, UNDEFORMED, ZERO, rounding
+from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -28,12 +30,12 @@ _ROUNDED_ONCE = 1e-3
 class _Sums:
     """Sums over the unknowns of each subdomain, or of each body over all ranks."""
 
-    error2: Vector  # ||u - u_t||_K^2, with friction and 2 (r |s| - lambda_T's) [J]
-    strain2: Vector  # ||u_t||_K^2 [J]
+    error2: Vector  # ||u - u_t||_K^2, and twice what friction and springs lack to their laws [J]
+    strain2: Vector  # ||u_t||_K^2, and twice the energy of springs [J]
     residual2: Vector  # ||Ku_t - f + B'lambda||^2 [N^2]
     force2: Vector  # ||f||^2 + ||B'lambda||^2 [N^2]
     flexibility: Vector  # f'D^{-1}f and the same of B'lambda, D the diagonal of K [J]
-    energy: Vector  # 1/2 u'Ku - f'u, with friction and r |s| [J]
+    energy: Vector  # 1/2 u'Ku - f'u, with springs, with friction and r |s| [J]
 
     @staticmethod
     def zeros(size: int) -> _Sums:
@@ -46,7 +48,7 @@ class _BodyMeasures:
     """Errors of each body, and their scales."""
 
     error2: Vector  # ||u - u_t||_K^2 [J]; infinite where G lambda = e does not hold
-    strain2: Vector  # ||u_t||_K^2 [J]
+    strain2: Vector  # ||u_t||_K^2, with springs [J]
     equilibrium: Vector  # ||Ku_t - f + B'lambda||, relative to the forces
     rounding2: float  # what rounding may leave in an energy of any body [J]
     deformed: Mask  # whether the strains are more than rounding
@@ -67,8 +69,8 @@ class Certifier:
         """Measure how well displacements and multipliers solve the primal problem. Collective.
 
         The multipliers have lambda_I >= o, and G lambda = e but for motions that their face leaves
-        free. Returned beside the certificate: 1/2 u'Ku - f'u, with friction and the sum of r |s|
-        [J].
+        free. Returned beside the certificate: 1/2 u'Ku - f'u, with springs, and with friction and
+        the sum of r |s| [J].
         """
         sums = self._sums(recovered, multipliers)
         measures = self._body_measures(sums, recovered, multipliers, coarse_space)
@@ -172,8 +174,39 @@ class Certifier:
         unused = balls.misalignment(slips, along)[sites]
         np.add.at(own.error2, body, 2.0 * radius * unused)
         np.add.at(own.energy, body, radius * np.linalg.norm(slips, axis=1)[sites])
+        self._add_springs(own, recovered, multipliers)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         return own
+
+    def _add_springs(self, sums: _Sums, recovered: Recovered, multipliers: Vector) -> None:
+        """Add what springs lack to their law, and their energies, to the sums of bodies."""
+        springs, constraints = self.data.springs, self.setup.constraints
+        if springs is None:
+            return
+        force, closing = self._spring_states(recovered, multipliers, springs)
+        energy, lack = springs.energies(force, closing)
+        owned = constraints.owned_inequalities
+        body = self.setup.row_bodies.of_rows(force.size)[:owned]
+        np.add.at(sums.error2, body, 2.0 * lack[:owned])
+        np.add.at(sums.strain2, body, (springs.of(force) * force**2)[:owned])
+        np.add.at(sums.energy, body, energy[:owned])
+
+    def _spring_states(
+        self, recovered: Recovered, multipliers: Vector, springs: Springs
+    ) -> tuple[Vector, Vector]:
+        """Return forces and closings v = Bu - c of the contact rows (i,). Collective.
+
+        Those that are closed are v = C lambda where they differ by rounding of displacements, whose
+        energy in stiff springs would show in the error.
+        """
+        constraints = self.setup.constraints
+        rows = constraints.inequality
+        force, closing = multipliers[rows], recovered.jumps[rows]
+        by_springs = springs.of(force) * force
+        size = np.abs(self.data.c[rows])
+        size = size + largest_of_ranks(self._comm, np.abs(recovered.displacement))
+        same = recovered.closed & (np.abs(closing - by_springs) <= rounding(size, MANY))
+        return force, np.where(same, by_springs, closing)
 
     def _subdomain_sums(self, recovered: Recovered, multipliers: Vector) -> _Sums:
         """Return the sums of each subdomain, without friction."""
@@ -265,13 +298,22 @@ class Certifier:
         rows = constraints.inequality
         contacts = constraints.rows.of(Kind.CONTACT)
         scale = row_bodies.largest(deformation, rows.size)
-        distance = recovered.jumps[rows] / contacts.scale
-        distance /= np.where(scale > 0.0, scale, np.inf)
+        distance = recovered.jumps[rows].copy()
+        limit, pushing = np.zeros(rows.size), np.ones(rows.size, dtype=bool)
+        if self.data.springs is not None:
+            # of springs the distance from what their force closes them by
+            by_springs = self.data.springs.of(multipliers[rows]) * multipliers[rows]
+            limit = np.where(by_springs < 0.0, -by_springs, 0.0)
+            distance, pushing = distance - by_springs, ~self.data.springs.pulling
+            scale = np.maximum(scale, np.abs(by_springs) / contacts.scale)
+        distance, limit = (
+            x / contacts.scale / np.where(scale > 0.0, scale, np.inf) for x in (distance, limit)
+        )
         force = multipliers[rows] * contacts.scale
-        force /= self._largest_of_contact(contacts.contact, force)
+        force /= self._largest_of_contact(contacts.contact, np.abs(force))
         largest = self._largest(
-            penetration=np.maximum(distance, 0.0),
-            smallest_force=-force,
+            penetration=np.maximum(distance - limit, 0.0),
+            smallest_force=-force[pushing],
             complementarity=np.abs(force * distance),
         )
         return largest | {"smallest_force": -largest["smallest_force"]}

@@ -240,9 +240,9 @@ def _follows(context: SolveContext) -> bool:
     """Tell whether several loose bodies hold each other: active sets are often mechanisms then.
 
     That is so where bounds are intervals: projections on discs in the metric of rows that nearly
-    depend on each other take too many steps.
+    depend on each other take too many steps. Steps along the gradient are too short for springs.
     """
-    if context.setup.constraints.friction.curved:
+    if context.setup.constraints.friction.curved or context.data.springs is not None:
         return False
     coarse_space = context.setup.projector.coarse_space
     free = coarse_space.resistance_of_supports().free

@@ -7,10 +7,10 @@ changes by the u and lambda of
     K u + B'lambda = f,   B u - C lambda = c on the face,   lambda = o off it,
 
 with the glued, supported and tied rows, the contact rows with a force, and the tangential rows of
-sites that stick. Where a site slips in three dimensions its force turns: the combination of its
-rows across the force is on the face, and C is slip over force there. The matrix is symmetric: the
-adjoint of the solution solves the same problem. Set-up, coarse space, deflation and preconditioner
-are those of the solve.
+sites that stick; C is the compliance of springs. Where a site slips in three dimensions its force
+turns: the combination of its rows across the force is on the face, and C is slip over force there.
+The matrix is symmetric: the adjoint of the solution solves the same problem. Set-up, coarse space,
+deflation and preconditioner are those of the solve.
 """
 
 from __future__ import annotations
@@ -100,6 +100,7 @@ class LinearProblem:
             none,
             none,
             1.0,
+            candidate.recovered.face.springs,
         )
         projector = Projector.build(coarse_space, _face_of(constraints, candidate))
         operators = FaceOperators.build(dual, projector)
@@ -302,7 +303,7 @@ class LinearProblem:
         torn = strained + coarse_space.rigid_motion(
             projector.coefficients(prescribed - F.jumps(strained))
         )
-        jump = F.jumps(torn) - c
+        jump = F.jumps(torn) - prescribed
         correction = np.where(rows, jump, 0.0)
         coupling = constraints.coupling
         if coupling.numbers.size:
@@ -323,6 +324,7 @@ def _face_of(constraints: Constraints, candidate: Candidate) -> Face:
     largest = largest_of_ranks(constraints.layout.comm, np.maximum(normal, 0.0))
     active = normal > ZERO * largest
     radius, slips = candidate.radius, candidate.slips
-    face = Face.of_multipliers(constraints, multipliers, radius, active, slips)
+    springs = candidate.recovered.face.springs
+    face = Face.of_multipliers(constraints, multipliers, radius, active, slips, springs)
     # of changes: what is fixed does not change
     return replace(face.with_turning_forces(), forces=np.zeros_like(multipliers))

@@ -27,6 +27,7 @@ from fenics_tfeti.feti.coarse.prescribed_motion import (
 )
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.face import Face
+from fenics_tfeti.feti.constraints.springs import pushing_rows
 from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
 from fenics_tfeti.feti.dual.augmented import solve_by_smalbe
 from fenics_tfeti.feti.dual.iterate import Iterate, Method, SolveStatus, Turn
@@ -94,6 +95,9 @@ def iterate_until_certified(
     longest = FAR * feasible.largest_jump
     while True:
         shortened = (data.c[rows] > longest) & (longest > 0.0)
+        if data.springs is not None:
+            # which pull, however far
+            shortened &= ~data.springs.pulling
         c = data.c.copy()
         c[rows] = np.where(shortened, longest, data.c[rows])
         loop = _Loop.begin(replace(context, data=replace(data, c=c)), shortened, feasible, bounds)
@@ -128,7 +132,8 @@ def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate
 def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds."""
     context = loop.context
-    forces = forces_at_rest(context.setup.F, context.data.load, context.data.c)
+    data = context.data
+    forces = forces_at_rest(context.setup.F, data.load, data.c, data.springs)
     if forces is not None:
         return loop.at_rest(forces)
     iterate, limit = loop.first(start), max(context.options.rtol, CERTIFIED)
@@ -248,7 +253,9 @@ class _Loop:
         none = np.zeros_like(data.load)
         active = np.zeros(setup.constraints.inequality.size, dtype=bool)
         with self.context.timer.phase("recovery"):
-            face = Face.of_multipliers(setup.constraints, multipliers, data.radius, active)
+            face = Face.of_multipliers(
+                setup.constraints, multipliers, data.radius, active, springs=data.springs
+            )
             projector = Projector.build(setup.projector.coarse_space, face)
             recovered = Recovered(none, none, none, -data.c, active, face)
             candidate = self._certified(recovered, multipliers, projector)
@@ -324,18 +331,23 @@ class _Loop:
         setup, data = self.context.setup, self.context.data
         constraints = setup.constraints
         feasible = constraints.friction.multiplier_set(
-            constraints.inequality, np.zeros(constraints.size), data.radius
+            pushing_rows(constraints, data.springs), np.zeros(constraints.size), data.radius
         )
         multipliers = feasible.project(multipliers.copy())
         multipliers = constraints.friction.at_bound(multipliers, data.radius)
         with self.context.timer.phase("recovery"):
             coarse_space = setup.projector.coarse_space
             multipliers, projector = balance_multipliers(
-                coarse_space, data.e, multipliers, data.radius
+                coarse_space, data.e, multipliers, data.radius, data.springs
             )
             # F makes jumps of what the balance has added, large ones in the deflated directions
             multipliers = without_unloaded_groups(
-                constraints, setup.row_bodies, data.load, data.c, self._completed(multipliers)
+                constraints,
+                setup.row_bodies,
+                data.load,
+                data.c,
+                self._completed(multipliers),
+                data.springs,
             )
             recovered = recover_displacement(
                 setup.F, projector, data.load, data.c, multipliers, setup.local.unit, data.motion
@@ -390,4 +402,5 @@ class _Loop:
             data.feasible,
             d_0,
             self.scale.energy_norm,
+            data.springs,
         )

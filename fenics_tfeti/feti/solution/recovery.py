@@ -4,9 +4,9 @@ The torn displacement u_t = K^+(f - B'lambda) + R alpha is in equilibrium with t
 copies of a node differ a little, and contacts gape or penetrate. The displacement u that is
 returned is the nearest one, in the norm of D, on which all constraints hold: glued, with the
 prescribed values, closed where contact forces press, without penetration, and without slip where
-friction is below its bound. The energy of the
-difference bounds the error of u (see `certificate`), provided that lambda_I >= o and that the
-multipliers balance the load on all rigid motions, G lambda = e.
+friction is below its bound; stiff springs are closed by C lambda. The energy of the difference
+bounds the error of u (see `certificate`), provided that lambda_I >= o and that the multipliers
+balance the load on all rigid motions, G lambda = e.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.coupling import Coupling
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.springs import Springs, pushing_rows
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies, least_penetration
 from fenics_tfeti.feti.dual.operator import DualOperator
 from fenics_tfeti.feti.tolerances import FEW, MANY, ZERO, rounding
@@ -42,26 +43,31 @@ class Recovered:
     torn: Vector  # (n,) u_t [m]
     displacement: Vector  # (n,) u: copies of a node are equal, no contact is penetrated [m]
     jumps: Vector  # (m,) Bu - c
-    closed: Mask  # (i,) contact rows with a force, and those that u_t penetrates
+    closed: Mask  # (i,) contact rows with a force or a spring, and those that u_t penetrates
     face: Face  # of the multipliers: the slip of its sites that stick is zero
 
 
 def balance_multipliers(
-    coarse_space: CoarseSpace, e: Vector, multipliers: Vector, radius: Vector
+    coarse_space: CoarseSpace,
+    e: Vector,
+    multipliers: Vector,
+    radius: Vector,
+    springs: Springs | None = None,
 ) -> tuple[Vector, Projector]:
     """Return the feasible multipliers with G lambda = e, and the projector of their face.
 
     What is missing of G lambda = e is added in the least squares sense on the equality rows, on the
-    contact rows with a force, and on the tangential rows with a force below its bound; forces at
-    their bound turn. Contact rows whose force would become negative leave the face, and sites of
-    friction that would exceed their bound. The given multipliers have lambda_I >= o and
-    |lambda_T| <= r; they are returned where no face can take what is missing.
+    contact rows with a force or a spring that may pull, and on the tangential rows with a force
+    below its bound; forces at their bound turn. Other contact rows whose force would become
+    negative leave the face, and sites of friction that would exceed their bound. The given
+    multipliers are feasible; they are returned where no face can take what is missing.
     """
-    rows, space = coarse_space.constraints.inequality, coarse_space.constraints.layout.space
+    rows = pushing_rows(coarse_space.constraints, springs)
+    space = coarse_space.constraints.layout.space
     friction, balanced, turns = coarse_space.constraints.friction, multipliers, 0
     limits = friction.multiplier_set(rows[:0], np.zeros_like(multipliers), radius)
     while True:
-        face = Face.of_multipliers(coarse_space.constraints, balanced, radius)
+        face = Face.of_multipliers(coarse_space.constraints, balanced, radius, springs=springs)
         projector = Projector.build(coarse_space, face.with_turning_forces())
         corrected = _with_missing_forces(projector, e, balanced, radius)
         negative, limited = corrected[rows] < 0.0, limits.project(corrected.copy())
@@ -117,16 +123,17 @@ def recover_displacement(
     stands for the stiffness `unit` [N/m].
     """
     coarse_space, rows = projector.coarse_space, F.constraints.inequality
+    face, closed_by = projector.face, projector.face.closed_by_springs(multipliers)
     # what rounding leaves in the kernel of K would become a displacement, and the choice of K^+
     # would show in its motions
     forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
     strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
     torn = strained + coarse_space.rigid_motion(
-        _motions(F, projector, c, strained, multipliers, removed)
+        _motions(F, projector, c + closed_by, strained, multipliers, removed)
     )
-    displacement, closed = close_constraints(F, c, torn, projector.face.rows, multipliers, unit)
+    displacement, closed = close_constraints(F, c, torn, face, multipliers, unit)
     jumps = F.jumps(displacement) - c
-    return Recovered(strained, torn, displacement, jumps, closed[rows], projector.face)
+    return Recovered(strained, torn, displacement, jumps, (closed | face.rows)[rows], face)
 
 
 def _motions(
@@ -151,7 +158,9 @@ def _motions(
     return alpha
 
 
-def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
+def forces_at_rest(
+    F: DualOperator, load: Vector, c: Vector, springs: Springs | None = None
+) -> Vector | None:
     """Return multipliers with which u = o is the solution: B'lambda = f, and all rows hold.
 
     That is so for a load on held nodes only, or for one that copies of a node share out; then there
@@ -170,37 +179,43 @@ def forces_at_rest(F: DualOperator, load: Vector, c: Vector) -> Vector | None:
         not c[constraints.equality].any()
         and not c[constraints.friction.flat].any()
         and bool((c[constraints.inequality] >= 0.0).all())
+        and (springs is None or not c[constraints.inequality][springs.pulling].any())
         and bool((left <= rounding(largest, FEW)).all())
     )
     return forces if constraints.layout.comm.allreduce(rest, MPI.LAND) else None
 
 
 def close_constraints(
-    F: DualOperator, c: Vector, torn: Vector, face: Mask, multipliers: Vector, unit: float
+    F: DualOperator, c: Vector, torn: Vector, face: Face, multipliers: Vector, unit: float
 ) -> tuple[Vector, Mask]:
     """Return the nearest displacement on which the constraints hold, and the rows closed for that.
 
     u = u_t - D^{-1} B_R' W_R^{-1} (B_R u_t - c_R), with R the rows of the face (equality rows,
     contact rows with a force, tangential rows that stick) and the contact rows that u_t penetrates.
-    B_R D^{-1} B_R' = W_R is the identity but for contact, tied and tangential rows that share a
-    node. Where friction is at its bound the part of the slip is removed that is not along the
-    force, if that takes less energy than friction loses by it, 2 (r |s| - l_T's); of rows that
-    share a node all of the slip, on the same condition. A weight of 1 stands for the stiffness
-    `unit` [N/m].
+    Springs that are stiffer than a node are closed by C lambda, what softer ones lack to that costs
+    less; those that give way where they press are not penetrated. B_R D^{-1} B_R' = W_R is the
+    identity but for contact, tied and tangential rows that share a node. Where friction is at its
+    bound the part of the slip is removed that is not along the force, if that takes less energy
+    than friction loses by it, 2 (r |s| - l_T's); of rows that share a node all of the slip, on the
+    same condition. A weight of 1 stands for the stiffness `unit` [N/m].
     """
     constraints, rows = F.constraints, F.constraints.inequality
     jump = F.jumps(torn) - c
-    closed = face.copy()
-    closed[rows] |= jump[rows] > 0.0
+    closed, rigid = face.rows.copy(), np.ones(rows.size, dtype=bool)
+    if face.springs is not None:
+        closed[rows] &= unit * face.springs.at(face.active) <= 1.0
+        jump = jump - np.where(closed, face.closed_by_springs(multipliers), 0.0)
+        rigid = face.springs.pressed == 0.0
+    closed[rows] |= rigid & (jump[rows] > 0.0)
     correction = np.where(closed, jump, 0.0)
     friction = constraints.friction
     slip, costly = _wrong_slips(constraints, jump, multipliers, unit)
-    slip[friction.within(face)] = 0.0
+    slip[friction.within(face.rows)] = 0.0
     wrong = friction.present & slip.any(axis=1)[:, None]
     correction[friction.rows[wrong]] = slip[wrong]
     # of a coupled row only all of its slip can be taken back
     closed |= friction.on_rows(slip.any(axis=1) & ~costly, closed.size)
-    _close_coupled_rows(constraints, jump, correction, closed)
+    _close_coupled_rows(constraints, jump, correction, closed, rigid)
     u: Vector = torn - F.constraint_forces(correction) / constraints.weights
     return u, closed
 
@@ -224,23 +239,28 @@ def _wrong_slips(
 
 
 def _close_coupled_rows(
-    constraints: Constraints, jump: Vector, correction: Vector, closed: Mask
+    constraints: Constraints, jump: Vector, correction: Vector, closed: Mask, rigid: Mask
 ) -> None:
     """Replace the correction of the coupled rows by W_R^{-1} (B_R u_t - c_R), in place.
 
-    Rows that closing others would penetrate are added to R. Every rank computes all coupled rows.
+    Rows that closing others would penetrate are added to R, of contact rows (i,) the rigid ones.
+    Every rank computes all coupled rows.
     """
     coupling = constraints.coupling
     if not coupling.numbers.size:
         return
-    jumps, on_rows = coupling.gather(jump, closed.astype(float))
-    y, R = close_with_gram(coupling, jumps, on_rows > 0.0)
+    resisting = np.zeros(jump.size)
+    resisting[constraints.inequality] = rigid
+    jumps, on_rows, resisting = coupling.gather(jump, closed.astype(float), resisting)
+    y, R = close_with_gram(coupling, jumps, on_rows > 0.0, resisting > 0.0)
     correction[coupling.rows] = y[coupling.positions]
     closed[coupling.rows] = R[coupling.positions]
 
 
-def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vector, Mask]:
-    """Return y = W_R^+ jump_R, zero outside R, and R, with W y >= jump on the rows outside it.
+def close_with_gram(
+    coupling: Coupling, jump: Vector, closed: Mask, rigid: Mask
+) -> tuple[Vector, Mask]:
+    """Return y = W_R^+ jump_R, zero outside R, and R, with W y >= jump on rigid rows outside it.
 
     W = B D^{-1} B' of the w coupled rows; the jump B u_t - c is positive where penetrated. R starts
     from the closed and the tied rows.
@@ -251,7 +271,7 @@ def close_with_gram(coupling: Coupling, jump: Vector, closed: Mask) -> tuple[Vec
     np.maximum.at(negligible, block, np.where(R, np.abs(jump), np.maximum(jump, 0.0)))
     while True:
         y = coupling.inverse(R).solve(jump)
-        penetrated = ~(R | coupling.tangential) & (jump - W @ y > rounding(negligible[block], FEW))
+        penetrated = rigid & ~R & (jump - W @ y > rounding(negligible[block], FEW))
         if not penetrated.any():
             return y, R
         R = R | penetrated

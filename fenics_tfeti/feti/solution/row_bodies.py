@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from fenics_tfeti.feti.constraints.row_table import Kind
 from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_buffers, count_over_ranks
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -86,6 +87,12 @@ class RowBodies:
         np.maximum.at(largest, self.site, of_body[self.site_body])
         return largest
 
+    def of_rows(self, rows: int) -> Numbers:
+        """Return one of the bodies of each of `rows` inequality rows."""
+        body = np.zeros(rows, dtype=np.int64)
+        body[self.row[::-1]] = self.body[::-1]
+        return body
+
     def of_sites(self, sites: int) -> Numbers:
         """Return one of the bodies of each of `sites` sites of friction."""
         body = np.zeros(sites, dtype=np.int64)
@@ -115,15 +122,20 @@ def _pairs(row: Numbers, body: Numbers) -> Numbers:
 
 
 def without_unloaded_groups(
-    constraints: Constraints, row_bodies: RowBodies, load: Vector, c: Vector, multipliers: Vector
+    constraints: Constraints,
+    row_bodies: RowBodies,
+    load: Vector,
+    c: Vector,
+    multipliers: Vector,
+    springs: Springs | None = None,
 ) -> Vector:
     """Return the multipliers with zeros in groups without a load where that is no worse.
 
-    Bodies that do not press on others decouple, and without a load the dual function of such a
-    group is -1/2 lambda'F lambda - c'lambda. Where c'lambda >= 0, as in a body that touches
-    nothing, lambda = o is at least as good. What the iterations leave there instead has no scale:
-    relative to the energy of the group, which is all error, it never becomes small. G lambda = e
-    remains true. Collective.
+    Bodies that do not press on others decouple, unless springs may pull, and without a load the
+    dual function of such a group is at most -1/2 lambda'F lambda - c'lambda. Where c'lambda >= 0,
+    as in a body that touches nothing, lambda = o is at least as good. What the iterations leave
+    there instead has no scale: relative to the energy of the group, which is all error, it never
+    becomes small. G lambda = e remains true. Collective.
     """
     comm, layout = constraints.layout.comm, constraints.layout
     of_body = np.bincount(row_bodies.of_unknown[load != 0.0], minlength=row_bodies.bodies)
@@ -131,7 +143,10 @@ def without_unloaded_groups(
     if loaded.all():
         return multipliers
     with_force = constraints.friction.at_sites(multipliers).any(axis=1)
-    group = row_bodies.groups(comm, multipliers[constraints.inequality] > 0.0, with_force)
+    connecting = multipliers[constraints.inequality] > 0.0
+    if springs is not None:
+        connecting |= springs.pulling
+    group = row_bodies.groups(comm, connecting, with_force)
     matrix, of_unknown = constraints.matrix, row_bodies.of_unknown
     rows = np.flatnonzero(np.diff(matrix.indptr))
     # all bodies of a row with a force are of one group

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,10 +86,13 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
     setup, data = context.setup, context.data
     layout, rows = setup.constraints.layout, setup.constraints.inequality
     pressing = (data.feasible[rows] > 0.0) & ~shortened
-    face = Face.of_multipliers(setup.constraints, data.feasible, data.radius, pressing)
+    springs = data.springs
+    face = Face.of_multipliers(
+        setup.constraints, data.feasible, data.radius, pressing, springs=springs
+    )
     projector = Projector.build(setup.projector.coarse_space, face)
     r = projector.remove_rigid_motion(layout.owned_part(d), d)[0]
-    r[rows] = np.where(pressing, r[rows], np.maximum(r[rows], 0.0))
+    r[rows] = np.where(face.rows[rows], r[rows], np.maximum(r[rows], 0.0))
     r[setup.constraints.friction.on_rows(~face.sticking, r.size)] = 0.0
     if setup.preconditioner is None:
         with context.timer.phase("norm"):
@@ -97,6 +100,9 @@ def _energy_of_jumps(context: SolveContext, shortened: Mask, d: Vector) -> float
         return layout.space.dots((r, r))[0] / (norm or 1.0)
     context.monitor.history.products.preconditioner += 1
     rows = setup.constraints.equality | (r != 0.0)
-    precondition = setup.preconditioner.on(Face.of_rows(setup.constraints, rows))
+    # springs give way
+    active = r[setup.constraints.inequality] > 0.0
+    closed = replace(Face.of_rows(setup.constraints, rows), active=active, springs=springs)
+    precondition = setup.preconditioner.on(closed)
     part = np.array([r @ precondition(r)])
     return float(layout.space.sum_over_ranks(part)[0])

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from fenics_tfeti.feti.coarse.projector import Projector
 from fenics_tfeti.feti.constraints.friction import SlipBound
+from fenics_tfeti.feti.constraints.springs import Springs
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus
 from fenics_tfeti.feti.solution.certificate import Certificate
 from fenics_tfeti.feti.solution.recovery import Recovered
@@ -26,6 +27,7 @@ class ContactData:
     own_bound: SlipBound  # its parts at the contact rows that this rank gave
     radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
     motion: Vector | None = None  # (coarse,) rigid motions a that were taken out of c
+    springs: Springs | None = None  # of contact rows
     removed: Vector | float = 0.0  # (m,) B R a of those of them that supports prescribe
 
 
@@ -36,7 +38,7 @@ class Candidate:
     recovered: Recovered
     multipliers: Vector  # (m,) lambda
     certificate: Certificate
-    energy: float  # 1/2 u'Ku - f'u, with friction and the sum of r |s| [J]
+    energy: float  # 1/2 u'Ku - f'u, with springs, and with friction the sum of r |s| [J]
     projector: Projector  # of the face: contact rows with a force, and sites that stick
     slips: Vector  # (k, gdim - 1) s at the sites of friction, scaled as the rows
     radius: Vector  # (k,) r

@@ -42,7 +42,12 @@ def everything() -> TornSystem:
     side = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.5)][:2]
     tied = ContactRows.node_to_node(side, [-1, -1], np.tile([1.0, 0, 0], (2, 1)), [0, 0], [1, 1])
     is_held = np.arange(rows.size) == 1
-    two = dataclasses.replace(rows, gap=np.append(rows.gap[:-1], np.inf), held=is_held)
+    two = dataclasses.replace(
+        rows,
+        gap=np.append(rows.gap[:-1], np.inf),
+        held=is_held,
+        compliance=np.column_stack([0.5 * (np.arange(rows.size) > 1), np.full(rows.size, np.inf)]),
+    )
     rubbing = np.arange(0, rows.size, 2)
     tangents = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (rubbing.size, 1, 1))
     friction = Friction(rubbing, tangents, 0.1 + rubbing, 1e-3 * np.ones((rubbing.size, 2)))

@@ -1,0 +1,81 @@
+"""Springs between surfaces: the compliance of contact rows, beside the flexibility F of the bodies.
+
+A contact row with a spring has the closing v = Bu - c = C l of its multiplier l, with one C >= 0
+where it presses and another where it pulls. Zero is rigid; where surfaces come apart C is infinite
+for l < 0, so that l >= 0. The dual cost of a row is C l^2 / 2: no matrix changes with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fenics_tfeti.feti.constraints.rows import Constraints
+from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.parallel import any_rank
+from fenics_tfeti.typing import Mask, Numbers, Vector
+
+
+@dataclass(frozen=True)
+class Springs:
+    """The compliances of the contact rows that this rank holds, in units of rows [m/N]."""
+
+    pressed: Vector  # (i,): C where l > 0; zero is rigid
+    pulled: Vector  # (i,): C where l < 0; infinite where surfaces come apart
+
+    @staticmethod
+    def build(system: TornSystem, constraints: Constraints) -> Springs | None:
+        """Collect those of all ranks; None, on all of them, without any. Collective."""
+        given, layout = constraints.contacts, constraints.layout
+        if not any_rank(layout.comm, system.contacts.has_springs):
+            return None
+        here = (given.own_rows >= 0) & system.contacts.has_springs
+        rows, scale = given.own_rows[here], given.scale[here]
+        compliance = np.asarray(system.contacts.compliance)[here] * scale[:, None] ** 2
+        # 1 / C of pulls, which vanishes for rows without a spring
+        part = np.zeros((constraints.size, 2))
+        part[rows, 0] = compliance[:, 0]
+        with np.errstate(divide="ignore"):
+            part[rows, 1] = 1.0 / compliance[:, 1]
+            pressed, stiffness = layout.sum(part)[constraints.inequality].T
+            return Springs(pressed.copy(), 1.0 / stiffness)
+
+    @property
+    def pulling(self) -> Mask:
+        """The rows (i,) that may pull: they are on every face."""
+        return np.isfinite(self.pulled)
+
+    def at(self, active: Mask) -> Vector:
+        """Return C (i,) of rows that press where they are active, and pull or are open if not."""
+        return np.where(active, self.pressed, np.where(self.pulling, self.pulled, 0.0))
+
+    def of(self, forces: Vector) -> Vector:
+        """Return C (i,) at the multipliers (i,) of contact rows."""
+        return self.at(forces > 0.0)
+
+    def energies(self, forces: Vector, closing: Vector) -> tuple[Vector, Vector]:
+        """Return the energies of the rows (i,), and what forces and closings lack to the law.
+
+        The energy phi of a closing v is v^2 / (2C), zero where the surfaces are apart; closings of
+        rigid rows have none. With the dual phi* = C l^2 / 2 the lack is phi(v) + phi*(l) - l v,
+        which is zero for v = C l and positive for others.
+        """
+        pressed = closing > 0.0
+        C = np.where(pressed, self.pressed, self.pulled)
+        energy = np.divide(
+            closing**2, 2.0 * C, out=np.zeros_like(closing), where=(C > 0.0) & np.isfinite(C)
+        )
+        of_force = self.of(forces)
+        same = (forces > 0.0) == pressed
+        soft = same & (of_force > 0.0)
+        lack = energy + 0.5 * of_force * forces**2 - forces * closing
+        # without cancellation
+        np.divide((closing - of_force * forces) ** 2, 2.0 * of_force, out=lack, where=soft)
+        return energy, np.maximum(lack, 0.0)
+
+
+def pushing_rows(constraints: Constraints, springs: Springs | None) -> Numbers:
+    """Return the contact rows whose multipliers are not negative, local positions, ascending."""
+    rows = constraints.inequality
+    return rows if springs is None else rows[~springs.pulling]

@@ -1,0 +1,310 @@
+"""Contact rows with springs, against a conic solver, closed forms and ties."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from row_springs import WithSprings, random_system, with_springs
+from sparse_rows import SECOND, assert_same_on_ranks
+from torn import (
+    POISSON,
+    YOUNG,
+    Glued,
+    column,
+    node_rows,
+    operators_on,
+    with_fields,
+    with_prescribed,
+)
+
+from fenics_tfeti import InputError
+from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
+from fenics_tfeti.feti.dual.pcpg import pcpg
+from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
+from fenics_tfeti.feti.solution.linear import LinearData
+from fenics_tfeti.feti.system import RowValues
+from fenics_tfeti.qp import Products
+
+once = pytest.mark.once
+# accuracy of the conic solver's forces, relative to the largest
+CONIC = 1e-7
+
+
+def free_column(load, compliance: float, n: int = 2) -> TornSystem:
+    """Return a cube on a fixed one that springs across and along the joint alone hold."""
+    system = column(n, 1, load=load)
+    bottom = system.prescribed.nodes < SECOND
+    fixed = Prescribed(*(x[bottom] for x in vars(system.prescribed).values()))
+    slave = system.contacts.slave
+    normals = [[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    parts = [node_rows(slave, n, slave - SECOND, contact=k) for k, n in enumerate(normals)]
+    pressed = np.repeat([0.0, compliance, compliance], slave.size)
+    system = replace(
+        system,
+        prescribed=fixed,
+        contacts=ContactRows.concatenate(parts),
+        contact_names=["across", "along x", "along y"],
+    )
+    return with_springs(system, pressed, compliance)
+
+
+def assert_solves(system: TornSystem, options: Options) -> None:
+    """Compare with the conic solver; the bound is one of the energy, springs included."""
+    exact, solution = WithSprings.solve(system), TornSolver(system, options).solve()
+    report = solution.report
+    certificate = report.certificate
+    differences = [u - v for u, v in zip(solution.displacements, exact.torn(), strict=True)]
+    error, norm = exact.energy_norm(differences), exact.energy_norm(exact.torn())
+    assert certificate.guaranteed
+    assert error <= certificate.bound + CONIC * norm
+    assert 2.0 * (report.energy - exact.energy) <= certificate.bound**2 + 1e-11 * abs(exact.energy)
+    size = np.abs(exact.force).max()
+    np.testing.assert_allclose(solution.normal_force, exact.force, atol=CONIC * size)
+
+
+@once
+@pytest.mark.parametrize("seed", range(30))
+def test_random_springs(seed):
+    """Contact, soft contact, cohesion, springs and ties side by side, with gaps."""
+    assert_solves(random_system(seed), Options(rtol=1e-8))
+
+
+@once
+@pytest.mark.parametrize("seed", range(30, 42))
+def test_random_springs_by_smalbe(seed):
+    """Multipliers that may pull are split into two that may not."""
+    assert_solves(random_system(seed), Options(rtol=1e-8, method="smalbe"))
+
+
+@once
+@pytest.mark.parametrize("seed", range(42, 48))
+@pytest.mark.parametrize("rtol", [0.3, 1e-2])
+def test_bound_of_inaccurate_solutions(seed, rtol):
+    assert_solves_roughly(random_system(seed), rtol)
+
+
+def assert_solves_roughly(system: TornSystem, rtol: float) -> None:
+    """Test the bound alone, which is within a factor of ten of the error."""
+    exact = WithSprings.solve(system)
+    report = TornSolver(system, Options(rtol=rtol)).solve().report
+    excess = 2.0 * (report.energy - exact.energy)
+    assert -1e-11 * abs(exact.energy) <= excess <= report.certificate.bound**2
+
+
+@once
+@pytest.mark.parametrize("load", [(0.2, 0.1, 1.0), (0.2, 0.1, -1.0)], ids=["pulled", "pressed"])
+@pytest.mark.parametrize("compliance", [1e-6, 1e-2, 1.0, 1e2, 1e4])
+@pytest.mark.parametrize("method", ["active_set", "smalbe"])
+def test_springs_alone_hold_a_body(load, compliance, method):
+    assert_solves(free_column(load, compliance), Options(rtol=1e-8, method=method))
+
+
+@once
+@pytest.mark.parametrize("seed", range(48, 54))
+def test_newtons_method_on_proximal_problems(seed):
+    """From nothing, as it goes on where active sets repeat."""
+    system = random_system(seed)
+    solver, exact = TornSolver(system), WithSprings.solve(system)
+    problem = solver.dual_problem()
+    turn = Turn(1e-9 * problem.energy_norm, 10_000, Products(), monitor=lambda step: None)
+    iterate = Iterate(np.zeros_like(problem.d))
+    for _ in range(60):
+        iterate = proximal_newton(problem, iterate, turn)
+        if iterate.status is SolveStatus.SOLVED:
+            break
+    assert iterate.status is SolveStatus.SOLVED
+    forces = solver.setup.constraints.contacts.forces(iterate.multipliers)
+    np.testing.assert_allclose(forces, exact.force, atol=1e-5 * np.abs(exact.force).max())
+
+
+# -- closed forms ----------------------------------------------------------------------------------
+
+# of uniaxial strain
+MODULUS = YOUNG * (1.0 - POISSON) / ((1.0 + POISSON) * (1.0 - 2.0 * POISSON))
+
+
+def bar(displacement: float, n: int = 3, gap: float = 0.0) -> tuple[TornSystem, np.ndarray]:
+    """Return two unit cubes, held sideways everywhere and moved together, with the areas of rows.
+
+    Stress and strain are uniform.
+    """
+    system = column(n, 1, load=(0.0, 0.0, 0.0))
+    upper = system.subdomains[-1]
+    nodes = np.concatenate([s.nodes for s in system.subdomains])
+    top = upper.nodes[np.isclose(upper.coordinates[:, 2], 2.0)]
+    system = with_prescribed(with_prescribed(system, nodes, [0, 1]), top, [2], displacement)
+    x = upper.coordinates[np.searchsorted(upper.nodes, system.contacts.slave)]
+    at_rim = np.isclose(x[:, :2], 0.0) | np.isclose(x[:, :2], 1.0)
+    areas = np.prod(np.where(at_rim, 0.5, 1.0), axis=1) / n**2
+    return with_fields(system, "contacts", gap=np.full(areas.size, gap)), areas
+
+
+@once
+@pytest.mark.parametrize("stiffness", [1e-2, 1.0, 1e3])
+@pytest.mark.parametrize(("displacement", "kind"), [
+    (-0.02, "soft contact"), (0.02, "cohesion"), (-0.02, "spring"), (0.02, "spring"),
+])  # fmt: skip
+def test_uniform_stress(displacement, kind, stiffness):
+    """The bodies and the layer of springs in series."""
+    system, areas = bar(displacement)
+    compliance = 1.0 / (stiffness * areas)
+    pressed = 0.0 if kind == "cohesion" else compliance
+    pulled = np.inf if kind == "soft contact" else compliance
+    solution = TornSolver(with_springs(system, pressed, pulled), Options(rtol=1e-11)).solve()
+    pressure = -displacement / (2.0 / MODULUS + 1.0 / stiffness)
+    np.testing.assert_allclose(solution.normal_force / areas, pressure, rtol=1e-9)
+    # work of the prescribed displacement
+    energy = -0.5 * pressure * displacement
+    assert solution.report.energy == pytest.approx(energy, rel=1e-9)
+
+
+@once
+@pytest.mark.parametrize("displacement", [0.02, -0.02])
+def test_springs_count_from_the_gap(displacement):
+    """Springs are longer by the gap, and unstrained without a displacement."""
+    system, areas = bar(displacement, gap=0.01)
+    compliance = 1.0 / areas
+    solution = TornSolver(with_springs(system, compliance, compliance), Options(rtol=1e-11)).solve()
+    pressure = -(displacement + 0.01) / (2.0 / MODULUS + 1.0)
+    np.testing.assert_allclose(solution.normal_force / areas, pressure, rtol=1e-9)
+
+
+@once
+def test_stiff_springs_are_ties_and_soft_ones_nothing():
+    system, areas = bar(0.02)
+    force = {}
+    for stiffness in (0.0, 1e7 * MODULUS, 1e-9 * MODULUS):
+        pulled = 0.0 if not stiffness else 1.0 / (stiffness * areas)
+        solution = TornSolver(with_springs(system, 0.0, pulled), Options(rtol=1e-9)).solve()
+        force[stiffness] = -solution.normal_force.sum()
+    tied, stiff, soft = force.values()
+    assert tied == pytest.approx(0.01 * MODULUS, rel=1e-9)
+    assert stiff == pytest.approx(tied, rel=1e-6)
+    assert soft == pytest.approx(0.02e-9 * MODULUS, rel=1e-6)
+
+
+@once
+def test_springs_side_by_side_share_the_force_by_their_stiffness():
+    """Their rows are parallel, but for gaps and compliances that differ."""
+    system, areas = bar(-0.02)
+    rows, k = system.contacts, np.array([1.0, 3.0])
+    both = ContactRows.concatenate([rows, replace(rows, gap=rows.gap + 0.001)])
+    compliance = np.concatenate([1.0 / (stiffness * areas) for stiffness in k])
+    system = replace(system, contacts=both)
+    solution = TornSolver(with_springs(system, compliance, np.inf), Options(rtol=1e-11)).solve()
+    # p = k1 v + k2 (v - 0.001) = M (0.02 - v) / 2
+    closing = (0.01 * MODULUS + k[1] * 0.001) / (k.sum() + 0.5 * MODULUS)
+    expected = np.concatenate([k[0] * closing * areas, k[1] * (closing - 0.001) * areas])
+    np.testing.assert_allclose(solution.normal_force, expected, rtol=1e-7)
+    assert solution.report.certificate.worst <= 1e-9
+
+
+@once
+def test_soft_contact_between_supports():
+    """Rows that prescribed displacements close have no row of B, and are no contradiction."""
+    system, areas = bar(-0.02, n=1)
+    held = np.unique(system.contacts.nodes)
+    system = with_prescribed(system, held[held >= SECOND], [2], -0.01)
+    system = with_prescribed(system, held[held < SECOND], [2], 0.0)
+    solution = TornSolver(with_springs(system, 1.0 / areas, np.inf)).solve()
+    assert not solution.normal_force.any()
+    with pytest.raises(InputError, match="prescribed displacements violate 4 contact conditions"):
+        TornSolver(system)
+
+
+# -- what is renewed, and what a solve takes -------------------------------------------------------
+
+
+@once
+def test_other_compliances_renew_nothing():
+    """As damage grows; rows that have failed are those of contact."""
+    system = column(3, 1, load=(0.1, 0.0, 1.0))
+    pulled = np.full(system.contacts.size, 0.1)
+    pulled[:3] = np.inf
+    first = TornSolver(with_springs(system, 0.0, 0.01))
+    first.solve()
+    second = TornSolver(with_springs(system, 0.0, pulled), previous=first)
+    assert second.reused == ["factors", "coarse problem", "norm", "multipliers"]
+    assert second.setup is first.setup
+    solution = second.solve()
+    alone = TornSolver(with_springs(system, 0.0, pulled)).solve()
+    assert solution.report.energy == pytest.approx(alone.report.energy, rel=1e-9)
+    assert (solution.normal_force[:3] >= 0.0).all()
+
+
+@once
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+def test_products_are_those_of_ties(preconditioner):
+    """Unless springs are much softer than the nodes that they join."""
+    system, options = column(5, 2, load=(0.1, 0.0, 1.0)), Options(preconditioner=preconditioner)
+    solvers = {c: TornSolver(with_springs(system, 0.0, c), options) for c in (0.0, 1e-8, 0.1, 2.0)}
+    products = {c: solver.solve().report.products["cg"] for c, solver in solvers.items()}
+    unit = solvers[0.0].setup.local.unit
+    assert 2.0 * unit > 0.5
+    assert max(products.values()) <= 1.2 * products[0.0]
+
+
+@once
+@pytest.mark.parametrize("seed", range(54, 58))
+def test_direct_solvers_of_faces(seed):
+    """The compliances are in the factor of a face."""
+    solver = TornSolver(random_system(seed), Options(rtol=1e-8))
+    problem = solver.dual_problem()
+    assert problem.preconditioner is not None
+    direct = replace(problem, preconditioner=problem.preconditioner.for_solve(True))
+    assert direct.preconditioner is not None and direct.preconditioner.is_direct
+    products = []
+    for each in (problem, direct):
+        operators = operators_on(each, np.arange(each.constraints.inequality.size) % 2 == 0)
+        count = Products()
+        end = pcpg(
+            each,
+            operators,
+            np.zeros_like(each.d),
+            tolerance=1e-8 * each.energy_norm,
+            sign_factor=0.0,
+            max_products=500,
+            products=count,
+        )
+        products.append((count.total, end.multipliers))
+    (_, one), (few, other) = products
+    assert few <= 6
+    np.testing.assert_allclose(other, one, atol=1e-6 * np.abs(one).max())
+
+
+@once
+@pytest.mark.parametrize("seed", range(58, 62))
+def test_linear_problem_on_the_face(seed):
+    """As a dense saddle point with the compliances of the branches."""
+    system, rng = random_system(seed), np.random.default_rng(seed)
+    solver = TornSolver(system, Options(rtol=1e-10))
+    force = solver.solve().normal_force
+    linear, none = solver.linear_problem(), RowValues.zeros(system)
+    loads = [rng.standard_normal(s.size) for s in system.subdomains]
+    jumps = rng.standard_normal(force.size)
+    found = linear.solve(LinearData(loads, replace(none, normal=jumps), none), 1e-10)
+    whole = Glued.of(system)
+    f = np.zeros(whole.f.size)
+    for load, at in zip(loads, whole.places, strict=True):
+        np.add.at(f, at, load)
+    rows, length = np.flatnonzero(linear.active), system.contacts.length
+    compliance = np.where(force > 0.0, *np.asarray(system.contacts.compliance).T)[rows]
+    C, free = whole.C[rows] / length[rows, None], whole.free
+    assert (compliance > 0.0).any() and np.isfinite(compliance).all()
+    K = whole.K[np.ix_(free, free)]
+    matrix = np.block([[K, C[:, free].T], [C[:, free], -np.diag(compliance)]])
+    x = np.linalg.lstsq(matrix, np.append(f[free], jumps[rows]), rcond=None)[0]
+    u = np.zeros(f.size)
+    u[free] = x[: free.size]
+    size = np.abs(u).max()
+    for one, at in zip(found.displacements, whole.places, strict=True):
+        np.testing.assert_allclose(one, u[at], atol=1e-8 * size)
+
+
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize(("seed", "method"), [(0, "active_set"), (1, "active_set"), (3, "smalbe")])
+def test_same_as_on_one_rank(seed, method):
+    assert_same_on_ranks(random_system(seed), Options(rtol=1e-8, method=method), 1e-6)
