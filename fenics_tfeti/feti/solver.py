@@ -77,8 +77,9 @@ class TornSolution:
         Friction force at each contact row with friction that this rank gave, on the slave against
         the tangents [N].
     slip : (sites of this rank, gdim - 1) array
-        Its slip along the tangents [m]; zero where it sticks, and where it is not a part of the
-        problem: nothing to touch there, or a direction that prescribed displacements decide.
+        Its slip along the tangents [m]; zero where it sticks without elastic slip, and where it is
+        not a part of the problem: nothing to touch there, or a direction that prescribed
+        displacements decide.
     sticking : (sites of this rank,) bool array
         Whether the tangential force is below its bound.
     slip_bound : (sites of this rank,) array

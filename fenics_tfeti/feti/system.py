@@ -446,6 +446,10 @@ class Friction:
         tangents, from which slip is counted [m]; 0 by default.
     coefficient : (k,) array, optional
         Coefficient of friction (Coulomb); 0 by default.
+    compliance : (k,) array, optional
+        Elastic slip: slip over tangential force below the bound [m/N]; 0 by default. What slips
+        beyond it stays when the force is taken away: in a sequence of loads that part of the slip,
+        without the elastic one, is counted from.
 
     Examples
     --------
@@ -458,6 +462,7 @@ class Friction:
     bound: Vector
     slip: Vector | None = None
     coefficient: Vector | None = None
+    compliance: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
@@ -466,7 +471,9 @@ class Friction:
             _set(self, "slip", np.zeros(np.shape(self.tangents)[:2]))
         if self.coefficient is None:
             _set(self, "coefficient", np.zeros(np.shape(self.bound)))
-        _convert(self, slip=np.float64, coefficient=np.float64)
+        if self.compliance is None:
+            _set(self, "compliance", np.zeros(np.shape(self.bound)))
+        _convert(self, slip=np.float64, coefficient=np.float64, compliance=np.float64)
 
     @staticmethod
     def none(gdim: int) -> Friction:

@@ -500,6 +500,8 @@ FRAME = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (2, 1, 1))
     (Friction([0, 1], np.nan * FRAME, [1.0, 1.0]), "friction.tangents: 12 of 12"),
     (Friction([0, 1], FRAME, [1.0, 1.0], [[0.0, 0.0]]), r"friction.slip: got shape \(1, 2\)"),
     (Friction([0, 1], FRAME, [1.0, 1.0], coefficient=[0.1]), r"coefficient: got shape \(1,\)"),
+    (Friction([0, 1], FRAME, [0.0, 0.0], compliance=[0.1, -0.1]),
+     "friction.compliance: -0.1 m/N at position 1; a compliance is at least 0"),
     (Friction([0, 1], FRAME, [0.0, 0.0], coefficient=[0.1, -0.1]),
      "-0.1 at position 1; a coefficient of friction is at least 0"),
     (Friction([0, 1], FRAME, [0.0, 0.0], coefficient=[0.1, np.inf]),

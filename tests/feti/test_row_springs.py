@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from row_springs import WithSprings, random_system, with_springs
+from friction_problems import horizontal, pushed_block
+from row_springs import WithSprings, random_system, with_friction, with_springs
 from sparse_rows import SECOND, assert_same_on_ranks
 from torn import (
     POISSON,
     YOUNG,
     Glued,
     column,
+    fixed_nodes,
     node_rows,
     operators_on,
     with_fields,
@@ -215,6 +217,82 @@ def test_soft_contact_between_supports():
         TornSolver(system)
 
 
+# -- friction --------------------------------------------------------------------------------------
+
+
+@once
+@pytest.mark.parametrize(("seed", "method"), [
+    *((seed, "active_set") for seed in range(16) if seed != 7),
+    *((seed, "smalbe") for seed in range(16, 20)),
+])  # fmt: skip
+def test_random_friction_with_elastic_slip(seed, method):
+    """With given bounds, beside springs; the conic solver has 1e-7 here, and no answer for 7."""
+    system = with_friction(random_system(seed), seed)
+    exact, solution = WithSprings.solve(system), TornSolver(system, Options(1e-8, method)).solve()
+    certificate, energy = solution.report.certificate, solution.report.energy
+    assert certificate.worst <= 1e-8
+    assert abs(energy - exact.energy) <= 0.5 * certificate.bound**2 + 1e-10 * abs(exact.energy)
+    size = max(np.abs(exact.force).max(), np.abs(exact.tangential).max())
+    np.testing.assert_allclose(solution.normal_force, exact.force, atol=1e-6 * size)
+    np.testing.assert_allclose(solution.tangential_force, exact.tangential, atol=1e-6 * size)
+    np.testing.assert_allclose(solution.slip, exact.slip, atol=1e-6 * np.abs(exact.slip).max())
+
+
+def sheared(displacement: float, bound: float, stiffness: float, n: int = 2) -> TornSystem:
+    """Return two unit cubes in simple shear, with a bound and a stiffness per unit of area."""
+    system, areas = bar(0.0, n)
+    nodes = np.unique(np.concatenate([s.nodes for s in system.subdomains]))
+    subdomains = system.subdomains
+    bottom, top = (
+        np.unique(np.concatenate([s.nodes[np.isclose(s.coordinates[:, 2], z)] for s in subdomains]))
+        for z in (0.0, 2.0)
+    )
+    system = replace(system, prescribed=fixed_nodes(nodes, [1, 2]))
+    system = with_prescribed(with_prescribed(system, bottom, [0]), top, [0], displacement)
+    friction = horizontal(system.contacts, bound * areas)
+    friction = replace(friction, compliance=1.0 / (stiffness * areas))
+    return replace(system, friction=friction)
+
+
+@once
+@pytest.mark.parametrize("stiffness", [1e-2, 1.0, 1e4])
+@pytest.mark.parametrize("displacement", [0.1, -0.1])
+@pytest.mark.parametrize("part", [0.5, 2.0], ids=["slips", "sticks"])
+def test_elastic_slip_in_simple_shear(stiffness, displacement, part):
+    shear = YOUNG / (2.0 * (1.0 + POISSON))
+    elastic = displacement / (2.0 / shear + 1.0 / stiffness)
+    system = sheared(displacement, part * abs(elastic), stiffness)
+    solution = TornSolver(system, Options(rtol=1e-11)).solve()
+    stress = min(part, 1.0) * elastic
+    areas = system.friction.bound / (part * abs(elastic))
+    np.testing.assert_allclose(solution.tangential_force[:, 0] / areas, stress, rtol=1e-9)
+    slip = displacement - 2.0 * stress / shear
+    np.testing.assert_allclose(solution.slip[:, 0], slip, rtol=1e-9)
+    assert solution.sticking.all() == (part > 1.0)
+    work = solution.report.contacts[0].friction_work
+    assert work == pytest.approx(abs(stress) * (abs(slip) - abs(stress) / stiffness), abs=1e-12)
+
+
+@once
+def test_coulombs_law_on_soft_contact():
+    """It is the solution with the bounds that the forces of the springs make."""
+    system = with_springs(pushed_block(load=(0.15, 0.05, -1.0)), 0.3, np.inf)
+    none, coefficient = np.zeros(system.friction.size), np.full(system.friction.size, 0.2)
+    compliance = np.full(system.friction.size, 0.5)
+    coulomb = with_fields(
+        system, "friction", bound=none, coefficient=coefficient, compliance=compliance
+    )
+    solution = TornSolver(coulomb, Options(rtol=1e-9)).solve()
+    bound = solution.slip_bound
+    np.testing.assert_allclose(bound, 0.2 * solution.normal_force, rtol=1e-6)
+    assert 0 < np.count_nonzero(solution.sticking) < bound.size
+    tresca = with_fields(system, "friction", bound=bound, compliance=compliance)
+    exact = WithSprings.solve(tresca)
+    size = np.abs(exact.force).max()
+    np.testing.assert_allclose(solution.normal_force, exact.force, atol=1e-6 * size)
+    np.testing.assert_allclose(solution.tangential_force, exact.tangential, atol=1e-6 * size)
+
+
 # -- what is renewed, and what a solve takes -------------------------------------------------------
 
 
@@ -308,3 +386,9 @@ def test_linear_problem_on_the_face(seed):
 @pytest.mark.parametrize(("seed", "method"), [(0, "active_set"), (1, "active_set"), (3, "smalbe")])
 def test_same_as_on_one_rank(seed, method):
     assert_same_on_ranks(random_system(seed), Options(rtol=1e-8, method=method), 1e-6)
+
+
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize("seed", [1, 3])
+def test_friction_as_on_one_rank(seed):
+    assert_same_on_ranks(with_friction(random_system(seed), seed), Options(rtol=1e-8), 1e-6)

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import clarabel
 import numpy as np
 import scipy.sparse as sp
+from friction_problems import random_tangents
 from sparse_rows import clamped, interpolated, random_rows, two_blocks
-from torn import Glued, column
+from torn import Glued, column, matrix
 
-from fenics_tfeti.feti import TornSystem
+from fenics_tfeti.feti import Friction, TornSystem
 
 
 def with_springs(system: TornSystem, pressed, pulled) -> TornSystem:
@@ -29,6 +30,21 @@ def random_compliances(rng: np.random.Generator, size: int, decades=(-3.0, 3.0))
     kinds = [(none, apart), (a, apart), (none, b), (a, a), (a, b), (none, none)]
     columns = np.array([np.column_stack(kind) for kind in kinds])
     return columns[rng.choice(len(kinds), size), np.arange(size)]
+
+
+def with_friction(system: TornSystem, seed: int) -> TornSystem:
+    """Return a system with friction at some of its rows, with and without elastic slip."""
+    rng, size = np.random.default_rng(seed), system.contacts.size
+    rows = np.flatnonzero(rng.random(size) < 0.7)
+    first, second = random_tangents(system.contacts.normal[rows], rng).swapaxes(0, 1)
+    friction = Friction(
+        rows,
+        np.stack([first, second], axis=1),
+        10.0 ** rng.uniform(-3.0, 0.0, rows.size),
+        rng.uniform(-0.05, 0.05, (rows.size, 2)) * (rng.random(rows.size) < 0.3)[:, None],
+        compliance=10.0 ** rng.uniform(-2.0, 2.0, rows.size) * (rng.random(rows.size) < 0.7),
+    )
+    return dataclasses.replace(system, friction=friction)
 
 
 def random_system(seed: int) -> TornSystem:
@@ -59,58 +75,76 @@ def random_system(seed: int) -> TornSystem:
 
 @dataclass
 class WithSprings(Glued):
-    """The glued problem and its solution by interior points, with the energies of springs.
+    """The glued problem and its solution by interior points, with springs and bounds of friction.
 
-    `force` are the nodal forces of rows, `closing` what they are closed by [m], beyond the gap.
+    `force` are the nodal forces of rows, `tangential` (sites, gdim - 1) those of friction, `slip`
+    their slips.
     """
 
     force: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    closing: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    tangential: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    slip: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     energy: float = 0.0
 
     @classmethod
     def solve(cls, system: TornSystem) -> WithSprings:
-        """Solve a system on one rank, without ties and friction."""
+        """Solve a system on one rank, without ties."""
         self = cls.of(system)
-        rows = system.contacts
-        length = rows.length
-        pressed, pulled = np.asarray(rows.compliance).T
-        K, u, free = self.K, self.u, self.free
-        C, gap = self.C / length[:, None], rows.gap / length - (self.C / length[:, None]) @ u
-        n, m = free.size, rows.size
-        # u, then closings p and openings q with Cu - gap = p - q, each in units of sqrt(compliance)
-        moving, at, unit, stiffness = [], [], [], []
-        for c in (pressed, pulled):
-            moving.append(np.flatnonzero(c > 0.0))
-            at.append(n + sum(map(len, moving[:-1])) + np.arange(moving[-1].size))
-            soft = np.isfinite(c[moving[-1]])
-            unit.append(np.where(soft, np.sqrt(np.where(soft, c[moving[-1]], 1.0)), 1.0))
-            stiffness.append(soft.astype(float))
-        parts = n + sum(map(len, moving))
-        P = sp.block_diag(
-            [sp.csc_matrix(K[np.ix_(free, free)]), sp.diags(np.concatenate(stiffness))]
+        contacts, friction, gdim = system.contacts, system.friction, system.gdim
+        tangential = friction.tangential_rows(contacts)
+        K, u, free, m, sites = self.K, self.u, self.free, contacts.size, friction.size
+        C = self.C / contacts.length[:, None]
+        T = matrix(tangential, self.nodes) / tangential.length[:, None]
+        pressed, pulled = np.asarray(contacts.compliance).T
+        elastic = np.repeat(np.asarray(friction.compliance), gdim - 1)
+        # u; closings and openings of rows and elastic slips of sites, in units of sqrt(compliance);
+        # the lengths of other slips
+        columns = _Columns(free.size)
+        at = [
+            (np.flatnonzero(pressed > 0.0), pressed, -1.0),
+            (np.flatnonzero(pulled > 0.0), pulled, 1.0),
+            (np.flatnonzero(elastic > 0.0), elastic, 1.0),
+        ]
+        parts = [columns.add(compliance[here]) for here, compliance, _ in at]
+        slack = columns.add(np.full(sites, np.inf))
+        of_rows, of_slips = np.zeros((m, columns.size)), np.zeros((tangential.size, columns.size))
+        of_rows[:, : free.size], of_slips[:, : free.size] = C[:, free], -T[:, free]
+        for (here, _, sign), part, matrix_of in zip(
+            at, parts, (of_rows, of_rows, of_slips), strict=True
+        ):
+            matrix_of[here, part] = sign * columns.unit[part]
+        positive = np.zeros((parts[0].size + parts[1].size, columns.size))
+        positive[np.arange(len(positive)), np.concatenate(parts[:2])] = -1.0
+        cones = np.zeros((sites, gdim, columns.size))
+        cones[np.arange(sites), 0, slack] = -1.0
+        cones[:, 1:] = of_slips.reshape(sites, gdim - 1, columns.size)
+        start = (T @ u - np.asarray(friction.slip).ravel()).reshape(sites, gdim - 1)
+        right = np.column_stack([np.zeros(sites), start])
+        A = sp.csc_matrix(np.vstack([of_rows, positive, cones.reshape(-1, columns.size)]))
+        b = np.concatenate(
+            [contacts.gap / contacts.length - C @ u, np.zeros(len(positive)), right.ravel()]
         )
-        q = np.append(-(self.f - K @ u)[free], np.zeros(parts - n))
-        split = np.zeros((m, parts))
-        for sign, row, part, factor in zip((-1.0, 1.0), moving, at, unit, strict=True):
-            split[row, part] = sign * factor
-        split[:, :n] = C[:, free]
-        A = sp.csc_matrix(np.vstack([split, -np.identity(parts)[n:]]))
-        b = np.append(gap, np.zeros(parts - n))
+        P = sp.block_diag(
+            [sp.csc_matrix(K[np.ix_(free, free)]), sp.diags(columns.soft[free.size :])]
+        )
+        q = np.zeros(columns.size)
+        q[: free.size], q[slack] = -(self.f - K @ u)[free], friction.bound
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
         settings.reduced_tol_gap_abs = settings.reduced_tol_gap_rel = 1e-10
         settings.reduced_tol_feas = 1e-10
-        cones = [clarabel.ZeroConeT(m), clarabel.NonnegativeConeT(parts - n)]
-        found = clarabel.DefaultSolver(sp.triu(P, format="csc"), q, A, b, cones, settings).solve()
+        kinds = [clarabel.ZeroConeT(m), clarabel.NonnegativeConeT(len(positive))]
+        kinds += [clarabel.SecondOrderConeT(gdim)] * sites
+        found = clarabel.DefaultSolver(sp.triu(P, format="csc"), q, A, b, kinds, settings).solve()
         assert str(found.status) in ("Solved", "AlmostSolved"), found.status
-        x = np.array(found.x)
-        u[free] = x[:n]
-        self.force, self.closing = np.array(found.z)[:m], gap - C[:, free] @ x[:n]
-        self.closing *= -1.0
-        energies = 0.5 * np.concatenate(stiffness) @ x[n:] ** 2
-        self.energy = float(0.5 * u @ K @ u - self.f @ u + energies)
+        x, z = np.array(found.x), np.array(found.z)
+        u[free] = x[: free.size]
+        self.force = z[:m]
+        self.tangential = -z[m + len(positive) :].reshape(sites, gdim)[:, 1:]
+        self.slip = (T @ u - np.asarray(friction.slip).ravel()).reshape(sites, gdim - 1)
+        springs = 0.5 * columns.soft[free.size :] @ x[free.size :] ** 2
+        self.energy = float(0.5 * u @ K @ u - self.f @ u + springs + friction.bound @ x[slack])
         return self
 
     def energy_norm(self, displacements: list[np.ndarray]) -> float:
@@ -119,3 +153,23 @@ class WithSprings(Glued):
         for at, part in zip(self.places, displacements, strict=True):
             u[at] = part
         return float(np.sqrt(max(0.0, u @ self.K @ u)))
+
+
+@dataclass
+class _Columns:
+    """The columns of a programme: their units, and whether they have the energy x^2 / 2."""
+
+    size: int
+    unit: np.ndarray = field(init=False)
+    soft: np.ndarray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.unit, self.soft = np.ones(self.size), np.zeros(self.size)
+
+    def add(self, compliance: np.ndarray) -> np.ndarray:
+        """Return the positions of columns with compliances; infinite ones have no energy."""
+        soft = np.isfinite(compliance)
+        self.unit = np.append(self.unit, np.sqrt(np.where(soft, compliance, 1.0)))
+        self.soft = np.append(self.soft, soft)
+        first, self.size = self.size, self.unit.size
+        return np.arange(first, self.size)

@@ -110,7 +110,8 @@ def distributed(system: TornSystem, comm: MPI.Comm) -> TornSystem:
     given = system.friction
     here = np.flatnonzero(np.isin(given.row, np.arange(system.contacts.size)[mine]))
     friction = Friction(
-        given.row[here] // comm.size, given.tangents[here], given.bound[here], given.slip[here]
+        given.row[here] // comm.size,
+        *(np.asarray(column)[here] for column in list(vars(given).values())[1:]),
     )
     return dataclasses.replace(
         system,

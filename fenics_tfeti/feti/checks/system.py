@@ -515,6 +515,7 @@ def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> Non
         "bound": (rows,),
         "slip": (rows, directions),
         "coefficient": (rows,),
+        "compliance": (rows,),
     }
     _check_fields("friction.FIELD", friction, np.float64, **shapes)
     _check_range("friction.row", friction.row, contacts.size)
@@ -525,6 +526,7 @@ def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> Non
     for field, unit, meaning in (
         ("bound", " N", "slip bound"),
         ("coefficient", "", "coefficient of friction"),
+        ("compliance", " m/N", "compliance"),
     ):
         values = getattr(friction, field)
         if np.any(values < 0.0):

@@ -104,7 +104,9 @@ def condition_rows(
     # there is no friction where there is nothing to touch, and none of a normal force where the gap
     # stays open
     stays_open = ~free & (gap > tolerance)
-    soft = np.asarray(contacts.compliance)[:, 0] > 0.0
+    soft, has_springs = np.asarray(contacts.compliance)[:, 0] > 0.0, contacts.has_springs
+    elastic = np.asarray(system.friction.compliance) > 0.0
+    has_springs[slip] = np.repeat(elastic, system.gdim - 1)
     finite[slip] &= finite[normal[slip]] & (bounded[slip] | ~stays_open[normal[slip]])
     with raise_collectively(comm):
         decided = finite & ~free & ~slip & ~np.asarray(contacts.held) & ~soft
@@ -125,7 +127,7 @@ def condition_rows(
             direction,
             np.where(slip, number + normal, -1),
             bounded,
-            contacts.has_springs,
+            has_springs,
             soft,
         ),
         _free_terms(system, terms, kept, number, directory),

@@ -206,6 +206,10 @@ class Face:
             return None
         compliance = np.zeros(self.rows.size)
         compliance[self.constraints.inequality] = self.springs.at(self.active)
+        friction, sticking = self.constraints.friction, self.springs.sticking
+        if friction.size:
+            elastic = np.where(self.sticking, sticking, 0.0)
+            compliance += friction.spread(elastic, compliance.size)
         return compliance
 
     @property

@@ -60,7 +60,7 @@ class Conditions:
     direction: Numbers  # (k,): number of the tangent
     normal: Numbers  # (k,): number of the contact row of tangential rows; -1 of others
     bounded: Mask  # (k,): tangential rows with a slip bound that needs no normal force
-    spring: Mask  # (k,): contact rows with a spring
+    spring: Mask  # (k,): contact rows with a spring, tangential ones with elastic slip
     soft: Mask  # (k,): contact rows that give way where they press
 
     def chosen(self, rows: Mask) -> Conditions:
@@ -214,6 +214,7 @@ class _Compared:
         i, j = self.i, self.j
         same = active[i] & active[j] & (contact[i] >= 0) & (contact[i] == contact[j])
         same &= (self.sign > 0.0) & (rows.direction[i] == rows.direction[j])
+        same &= ~rows.spring[i] & ~rows.spring[j]
         same &= np.abs(rows.rhs[i] - rows.rhs[j]) <= rows.tolerance[i] + rows.tolerance[j]
         # sites are one if all of their rows are
         sites, site = np.unique(rows.site, return_inverse=True)

@@ -1,8 +1,11 @@
-"""Springs between surfaces: the compliance of contact rows, beside the flexibility F of the bodies.
+"""Springs between surfaces: the compliance of rows, beside the flexibility F of the bodies.
 
 A contact row with a spring has the closing v = Bu - c = C l of its multiplier l, with one C >= 0
 where it presses and another where it pulls. Zero is rigid; where surfaces come apart C is infinite
 for l < 0, so that l >= 0. The dual cost of a row is C l^2 / 2: no matrix changes with it.
+
+A site of friction with elastic slip has the slip C l_T below its bound, and at it the slip beyond
+that is along the force.
 """
 
 from __future__ import annotations
@@ -14,22 +17,26 @@ import numpy as np
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.parallel import any_rank
+from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
 class Springs:
-    """The compliances of the contact rows that this rank holds, in units of rows [m/N]."""
+    """The compliances of contact rows and sites that this rank holds, in units of rows [m/N]."""
 
     pressed: Vector  # (i,): C where l > 0; zero is rigid
     pulled: Vector  # (i,): C where l < 0; infinite where surfaces come apart
+    sticking: Vector  # (k,): C of sites of friction below their bound
 
     @staticmethod
     def build(system: TornSystem, constraints: Constraints) -> Springs | None:
         """Collect those of all ranks; None, on all of them, without any. Collective."""
-        given, layout = constraints.contacts, constraints.layout
-        if not any_rank(layout.comm, system.contacts.has_springs):
+        given, layout, friction = constraints.contacts, constraints.layout, constraints.friction
+        elastic = np.asarray(system.friction.compliance)
+        if not any_rank(layout.comm, system.contacts.has_springs.any() or elastic.any()):
             return None
+        sticking = friction.from_given(elastic, layout) * friction.scale**2
         here = (given.own_rows >= 0) & system.contacts.has_springs
         rows, scale = given.own_rows[here], given.scale[here]
         compliance = np.asarray(system.contacts.compliance)[here] * scale[:, None] ** 2
@@ -39,7 +46,7 @@ class Springs:
         with np.errstate(divide="ignore"):
             part[rows, 1] = 1.0 / compliance[:, 1]
             pressed, stiffness = layout.sum(part)[constraints.inequality].T
-            return Springs(pressed.copy(), 1.0 / stiffness)
+            return Springs(pressed.copy(), 1.0 / stiffness, sticking)
 
     @property
     def pulling(self) -> Mask:
@@ -73,6 +80,25 @@ class Springs:
         # without cancellation
         np.divide((closing - of_force * forces) ** 2, 2.0 * of_force, out=lack, where=soft)
         return energy, np.maximum(lack, 0.0)
+
+    def plastic(self, slips: Vector, forces: Vector) -> Vector:
+        """Return slips without the elastic ones, all of sites (k, gdim - 1)."""
+        return slips - self.sticking[:, None] * forces
+
+    def site_energies(self, forces: Vector, slips: Vector, radius: Vector) -> tuple[Vector, Vector]:
+        """Return the energies of the sites (k,), and what forces and slips lack to the law.
+
+        Both are (k, gdim - 1). The energy of a slip s is |s|^2 / (2C) where it is elastic, and
+        beyond it r |s| - C r^2 / 2; with C = 0 it is r |s| alone.
+        """
+        C, size, force = self.sticking, *(np.linalg.norm(x, axis=1) for x in (slips, forces))
+        elastic = (C > 0.0) & (size <= C * radius)
+        safe = np.where(elastic, C, 1.0)
+        energy = np.where(elastic, size**2 / (2.0 * safe), radius * (size - 0.5 * C * radius))
+        lack = force * balls.misalignment(slips, balls.directions(forces))
+        lack += (radius - force) * (size - 0.5 * C * (radius + force))
+        squares = np.sum(self.plastic(slips, forces) ** 2, axis=1)
+        return energy, np.maximum(np.where(elastic, squares / (2.0 * safe), lack), 0.0)
 
 
 def pushing_rows(constraints: Constraints, springs: Springs | None) -> Numbers:

@@ -25,7 +25,7 @@ from fenics_tfeti.feti.dual.dependent_rows import closable
 from fenics_tfeti.feti.dual.face_operators import FaceOperators
 from fenics_tfeti.feti.dual.iterate import ActiveSetStep, Iterate, Method, SolveStatus, Turn
 from fenics_tfeti.feti.dual.loose_bodies import LooseBodies
-from fenics_tfeti.feti.dual.pcpg import PCPGIterate, friction_step, pcpg
+from fenics_tfeti.feti.dual.pcpg import PCPGIterate, friction_step, pcpg, plastic_slip
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.tolerances import ZERO
 from fenics_tfeti.parallel import largest_of_ranks
@@ -299,7 +299,8 @@ def close_first_gaps(problem: DualProblem, face: Face, gradient: Vector) -> Face
     coarse_space, friction = problem.coarse_space, problem.constraints.friction
     gap = np.maximum(gradient[problem.constraints.inequality], 0.0)
     along = face.directions
-    slip = np.maximum(np.sum(-friction.at_sites(gradient) * along, axis=1), 0.0)
+    slip = np.sum(-plastic_slip(problem, face.forces, gradient) * along, axis=1)
+    slip = np.maximum(slip, 0.0)
     active, sticking = face.active, face.sticking
     # where slip / bound exceeds 1e9 compliances the force keeps its direction on a face: rounding
     # would exceed what it turns by, and in the next face ZERO of the angle is left

@@ -29,6 +29,7 @@ from fenics_tfeti.feti.dual.pcpg import first_iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.qp import (
     Bounds,
+    Discs,
     ProductSet,
     ProportioningOptions,
     SMALBEOptions,
@@ -145,6 +146,7 @@ class _Parts:
         size, split = layout.numbers.size, springs.pulling & (springs.pulled != springs.pressed)
         pressed, pulled = np.zeros((2, size))
         pressed[rows], pulled[rows[split]] = springs.pressed, springs.pulled[split]
+        pressed += problem.constraints.friction.spread(springs.sticking, size)
         row = np.concatenate([np.arange(size), rows[split]])
         is_pull = np.arange(row.size) >= size
         order = np.argsort(row >= layout.owned, kind="stable")
@@ -211,14 +213,16 @@ class _Parts:
         feasible = self.problem.multiplier_set(self.problem.feasible)
         place = np.full(self.problem.feasible.size, -1)
         place[self.row[::-1]] = np.arange(self.row.size)[::-1]
-        # the parts of tangential rows are the rows themselves
-        rows, bounds = feasible.bounds.indices, feasible.bounds
+        # tangential rows have one part
+        bounds, at = feasible.bounds, place[feasible.bounds.indices]
         lower, upper = np.full((2, self.row.size), [[-np.inf], [np.inf]])
-        lower[place[rows]], upper[place[rows]] = bounds.lower, bounds.upper
+        lower[at], upper[at] = bounds.lower / self.factor[at], bounds.upper / self.factor[at]
         lower[self.is_bounded] = -self.start[self.is_bounded]
         discs = feasible.discs
         if discs is not None:
-            discs = replace(discs, indices=place[discs.indices])
+            at = place[discs.indices]
+            factor = self.factor[at[:, 0]]
+            discs = Discs(at, discs.centre / factor[:, None], discs.radius / factor)
         return ProductSet(Bounds.from_vector(lower, upper), discs)
 
     def _preconditioner(self, rho: float) -> Callable[[Vector, Numbers], Vector] | None:

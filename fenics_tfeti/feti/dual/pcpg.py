@@ -306,6 +306,15 @@ def _precondition(
     return operators.projector.P_of_sum(operators.precondition(r), r)
 
 
+def plastic_slip(problem: DualProblem, multipliers: Vector, gradient: Vector) -> Vector:
+    """Return g_T + C l_T, minus the slips beyond the elastic ones, (k, gdim - 1)."""
+    friction, springs = problem.constraints.friction, problem.springs
+    slip = friction.at_sites(gradient)
+    if springs is None:
+        return slip
+    return -springs.plastic(-slip, friction.at_sites(multipliers))
+
+
 def friction_step(
     problem: DualProblem, face: Face, multipliers: Vector, gradient: Vector
 ) -> Vector:
@@ -318,7 +327,7 @@ def friction_step(
     friction = problem.constraints.friction
     sticking = face.sticking
     along = face.directions
-    slip = np.where(sticking[:, None], 0.0, friction.at_sites(gradient))
+    slip = np.where(sticking[:, None], 0.0, plastic_slip(problem, multipliers, gradient))
     step = friction.at_sites(multipliers) - _SLIP_STIFFNESS * problem.unit * slip
     back = np.where(sticking, 0.0, np.minimum(np.sum(step * along, axis=1), 0.0))
     step -= back[:, None] * along

@@ -140,11 +140,17 @@ class _Bounds:
 
     def limited(self, x: Vector, stiffness: float) -> Vector:
         """Return P(x) of the term with a stiffness."""
-        forces, springs = self.project(x), self.problem.springs
-        if springs is not None:
-            rows = self.problem.constraints.inequality
-            forces[rows] /= 1.0 + stiffness * springs.of(forces[rows])
-        return forces
+        return self.project(self.softened(x, stiffness))
+
+    def softened(self, x: Vector, stiffness: float) -> Vector:
+        """Return x divided by 1 + rho C, the C of springs."""
+        constraints, springs = self.problem.constraints, self.problem.springs
+        if springs is None:
+            return x
+        rows, compliance = constraints.inequality, np.zeros_like(x)
+        compliance[rows] = springs.of(x[rows])
+        compliance += constraints.friction.spread(springs.sticking, x.size)
+        return x / (1.0 + stiffness * compliance)
 
     def norm(self, x: Vector) -> float:
         """Return the norm on these rows. Collective."""
@@ -169,12 +175,13 @@ class _Bounds:
         constraints, radius = self.problem.constraints, self.problem.radius
         friction, unbounded = constraints.friction, term.forces(state.gradient)
         length = np.linalg.norm(friction.at_sites(unbounded), axis=1)
-        slipping = length >= radius
+        softened = friction.at_sites(self.softened(unbounded, term.stiffness))
+        slipping = np.linalg.norm(softened, axis=1) >= radius
         curvature = np.zeros_like(radius)
         turning = slipping & (radius > 0.0)
         np.divide(length, radius * term.stiffness, out=curvature, where=turning)
         active = unbounded[constraints.inequality] > 0.0
-        forces, springs = self.project(unbounded), self.problem.springs
+        forces, springs = self.limited(unbounded, term.stiffness), self.problem.springs
         face = Face.of(constraints, active, ~slipping, forces, curvature, springs)
         return replace(face, proximal=term)
 

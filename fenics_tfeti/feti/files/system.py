@@ -48,7 +48,7 @@ _ROWS = (
     "held",
     "compliance",
 )
-_FRICTION = ("row", "tangents", "bound", "slip", "coefficient")
+_FRICTION = ("row", "tangents", "bound", "slip", "coefficient", "compliance")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
 # patterns of all names; k is a number
 _NAMES = [
@@ -335,6 +335,7 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     bound = file.read("friction/bound", "numbers", row.shape)
     slip = file.optional("friction/slip", "numbers", (row.size, gdim - 1))
     coefficient = file.optional("friction/coefficient", "numbers", row.shape)
+    compliance = file.optional("friction/compliance", "numbers", row.shape)
     outside = np.flatnonzero((row < 0) | (row >= contacts))
     if outside.size:
         raise InputError(
@@ -344,5 +345,5 @@ def _friction(file: ArrayFile, gdim: int, comm: MPI.Intracomm) -> Friction:
     local_rows = np.array_split(np.arange(contacts), comm.size)[comm.rank]
     local = np.flatnonzero(np.isin(row, local_rows))
     first = int(local_rows[0]) if local_rows.size else 0
-    slip, coefficient = (None if x is None else x[local] for x in (slip, coefficient))
-    return Friction(row[local] - first, tangents[local], bound[local], slip, coefficient)
+    more = (None if x is None else x[local] for x in (slip, coefficient, compliance))
+    return Friction(row[local] - first, tangents[local], bound[local], *more)

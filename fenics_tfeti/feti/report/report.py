@@ -265,7 +265,12 @@ def build_report(
     explicit, classes = comm.allreduce(setup.F.explicit), comm.allreduce(len(local.classes))
     subdomains = comm.allreduce(len(system.subdomains))
     products = history.products
-    sums = resultants(system, setup.F, local, data, candidate.multipliers, candidate.slips)
+    slips, springs = candidate.slips, data.springs
+    if springs is not None:
+        forces = setup.constraints.friction.at_sites(candidate.multipliers)
+        plastic = springs.plastic(slips, forces)
+        slips = np.where(candidate.recovered.face.sticking[:, None], 0.0, plastic)
+    sums = resultants(system, setup.F, local, data, candidate.multipliers, slips)
     return Report(
         unknowns=_unknowns(system, setup, data, candidate),
         reused=reused,

@@ -64,7 +64,7 @@ class ContactForces:
     force_on_master, moment_on_master : list of float
         The same on the master; zero for rigid obstacles, on which nothing is counted.
     friction_work : float
-        Work that friction dissipates: tangential forces times slips [J].
+        Work that friction dissipates: tangential forces times slips beyond elastic ones [J].
     """
 
     name: str
@@ -144,7 +144,7 @@ def resultants(
 ) -> Resultants:
     """Sum up the forces of a solution over all ranks. Collective.
 
-    `slips` are those at the sites of friction, scaled as the rows.
+    `slips` are those at the sites of friction without elastic slips, scaled as the rows.
     """
     gdim, comm, unknowns = system.gdim, system.comm, local.unknowns
     friction_force = tangential_forces(F.constraints, data, multipliers)

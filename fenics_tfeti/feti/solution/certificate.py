@@ -98,8 +98,8 @@ class Certificate:
         Largest excess of a tangential force over its bound, relative to the largest bound of the
         contact.
     slip_below_bound : float
-        Largest slip where the tangential force is below its bound, relative to the deformation of
-        the bodies that touch there.
+        Largest slip where the tangential force is below its bound, beyond the elastic slip,
+        relative to the deformation of the bodies that touch there, or to the elastic slip.
     slip_across_force : float
         Largest part of a slip that is not along the tangential force, relative to the same.
     guaranteed : bool

@@ -93,15 +93,17 @@ class Certifier:
     def slips(self, recovered: Recovered) -> Vector:
         """Return s = B_T u - c_T at the sites of friction, (k, gdim - 1), scaled as the rows.
 
-        It is zero where the rows were closed, and where it is no more than the rounding of its
-        terms: times the bound, whose energy is of first order, even that would show in the error.
-        Collective.
+        It is zero where the rows were closed without elastic slip, and where it is no more than the
+        rounding of its terms: times the bound, whose energy is of first order, even that would show
+        in the error. Collective.
         """
-        slips = self.setup.constraints.friction.at_sites(recovered.jumps)
-        negligible = recovered.face.sticking | self._slips_are_rounding(
-            recovered.displacement, slips
+        slips, sticking = (
+            self.setup.constraints.friction.at_sites(recovered.jumps),
+            recovered.face.sticking,
         )
-        slips[negligible] = 0.0
+        if self.data.springs is not None:
+            sticking = sticking & (self.data.springs.sticking == 0.0)
+        slips[sticking | self._slips_are_rounding(recovered.displacement, slips)] = 0.0
         return slips
 
     def _slips_are_rounding(self, displacement: Vector, slips: Vector) -> Mask:
@@ -171,9 +173,14 @@ class Certifier:
         slips, along = self.slips(recovered), balls.directions(friction.at_sites(multipliers))
         sites = np.flatnonzero(self.setup.constraints.owned_sites)
         body, radius = row_bodies.of_sites(friction.size)[sites], self.data.radius[sites]
-        unused = balls.misalignment(slips, along)[sites]
-        np.add.at(own.error2, body, 2.0 * radius * unused)
-        np.add.at(own.energy, body, radius * np.linalg.norm(slips, axis=1)[sites])
+        if self.data.springs is None:
+            lack = (self.data.radius * balls.misalignment(slips, along))[sites]
+            energy = radius * np.linalg.norm(slips, axis=1)[sites]
+        else:
+            energy, lack = self._site_energies(slips, recovered, multipliers, self.data.springs)
+            energy, lack = energy[sites], lack[sites]
+        np.add.at(own.error2, body, 2.0 * lack)
+        np.add.at(own.energy, body, energy)
         self._add_springs(own, recovered, multipliers)
         self._comm.Allreduce(MPI.IN_PLACE, sums)
         return own
@@ -190,6 +197,23 @@ class Certifier:
         np.add.at(sums.error2, body, 2.0 * lack[:owned])
         np.add.at(sums.strain2, body, (springs.of(force) * force**2)[:owned])
         np.add.at(sums.energy, body, energy[:owned])
+
+        sites = np.flatnonzero(constraints.owned_sites)
+        tangential = constraints.friction.at_sites(multipliers)
+        twice = (springs.sticking * np.sum(tangential**2, axis=1))[sites]
+        np.add.at(sums.strain2, self.setup.row_bodies.of_sites(tangential.shape[0])[sites], twice)
+
+    def _site_energies(
+        self, slips: Vector, recovered: Recovered, multipliers: Vector, springs: Springs
+    ) -> tuple[Vector, Vector]:
+        """Return the energies of slips of sites (k,), and what they lack to the law. Collective."""
+        friction, C = self.setup.constraints.friction, springs.sticking[:, None]
+        forces = friction.at_sites(multipliers)
+        size = largest_of_ranks(self._comm, np.abs(recovered.displacement))
+        differ = np.abs(slips - C * forces) > rounding(size, MANY)
+        elastic = recovered.face.sticking & ~differ.any(axis=1) & (springs.sticking > 0.0)
+        slips = np.where(elastic[:, None], C * forces, slips)
+        return springs.site_energies(forces, slips, self.data.radius)
 
     def _spring_states(
         self, recovered: Recovered, multipliers: Vector, springs: Springs
@@ -324,9 +348,14 @@ class Certifier:
         """Return excess over the bound, slip below it and across the force, as in `Certificate`."""
         friction, radius = self.setup.constraints.friction, self.data.radius
         scale = self.setup.row_bodies.largest_at_sites(deformation, friction.size)
-        slip = friction.at_sites(recovered.jumps) / friction.scale[:, None]
-        slip /= np.where(scale > 0.0, scale, np.inf)[:, None]
+        slip = friction.at_sites(recovered.jumps)
         forces = friction.at_sites(multipliers)
+        if self.data.springs is not None:
+            elastic = self.data.springs.sticking[:, None] * forces
+            slip = slip - elastic
+            scale = np.maximum(scale, np.linalg.norm(elastic, axis=1) / friction.scale)
+        slip = slip / friction.scale[:, None]
+        slip /= np.where(scale > 0.0, scale, np.inf)[:, None]
         along = balls.directions(forces)
         forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
         weight = friction.scale / self._largest_of_contact(

@@ -134,7 +134,10 @@ class LinearProblem:
         gap = np.append(candidate.recovered.jumps, np.inf)[contacts.own_rows] / contacts.scale
         touching = ~self.active & (contacts.own_rows >= 0) & (np.abs(gap) <= size)
         force = np.linalg.norm(friction.at_sites(candidate.multipliers), axis=1)
-        slip = np.linalg.norm(candidate.slips, axis=1) / friction.scale
+        slips, springs = candidate.slips, candidate.recovered.face.springs
+        if springs is not None:
+            slips = springs.plastic(slips, friction.at_sites(candidate.multipliers))
+        slip = np.linalg.norm(slips, axis=1) / friction.scale
         at_bound = (force > (1.0 - ZERO) * candidate.radius) & (candidate.radius > 0.0)
         edge = at_bound & (slip <= size)
         return touching, friction.given(edge.astype(float)) > 0.0

@@ -203,7 +203,7 @@ def close_constraints(
     jump = F.jumps(torn) - c
     closed, rigid = face.rows.copy(), np.ones(rows.size, dtype=bool)
     if face.springs is not None:
-        closed[rows] &= unit * face.springs.at(face.active) <= 1.0
+        closed &= unit * face.closed_by_springs(np.ones(closed.size)) <= 1.0
         jump = jump - np.where(closed, face.closed_by_springs(multipliers), 0.0)
         rigid = face.springs.pressed == 0.0
     closed[rows] |= rigid & (jump[rows] > 0.0)

@@ -50,7 +50,13 @@ def everything() -> TornSystem:
     )
     rubbing = np.arange(0, rows.size, 2)
     tangents = np.tile([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], (rubbing.size, 1, 1))
-    friction = Friction(rubbing, tangents, 0.1 + rubbing, 1e-3 * np.ones((rubbing.size, 2)))
+    friction = Friction(
+        rubbing,
+        tangents,
+        0.1 + rubbing,
+        1e-3 * np.ones((rubbing.size, 2)),
+        compliance=0.5 * rubbing,
+    )
     condition = (system.prescribed.nodes >= second).astype(np.int64)
     return dataclasses.replace(
         system,
