@@ -21,12 +21,11 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.coarse.unresisted import check_load
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.feasibility import check_conditions
-from fenics_tfeti.feti.constraints.friction import FrictionRows
 from fenics_tfeti.feti.constraints.ground import hold_ground
 from fenics_tfeti.feti.constraints.interface import Interface
 from fenics_tfeti.feti.constraints.row_table import Kind
-from fenics_tfeti.feti.constraints.rows import build_constraints
-from fenics_tfeti.feti.constraints.springs import Springs
+from fenics_tfeti.feti.constraints.rows import Constraints, build_constraints
+from fenics_tfeti.feti.constraints.springs import Springs, adhesion
 from fenics_tfeti.feti.dual.iterate import Iterate
 from fenics_tfeti.feti.dual.problem import DualProblem
 from fenics_tfeti.feti.factors.supernodal import Orderings
@@ -66,10 +65,11 @@ class TornSolution:
         u_i by (11.29), in equilibrium with the multipliers; copies of a node differ by what the
         stopping test leaves [m].
     normal_force : (contact rows of this rank,) array
-        Nodal normal force of each contact row that this rank gave; negative where a spring pulls
-        [N].
+        Nodal normal force of each contact row that this rank gave; negative where a spring pulls,
+        or adhesion [N].
     active : (contact rows of this rank,) bool array
-        Whether the row presses; of a held row whether it is a row of the problem.
+        Whether the row presses, or is kept closed by adhesion; of a held row whether it is a row of
+        the problem.
     tied_force : (tied rows of this rank,) array
         Force of each tied row that this rank gave, on the slave against the direction of the
         slave's sum [N].
@@ -191,7 +191,7 @@ class TornSolver:
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
             constraints, c = hold_ground(constraints, c, local.unknowns)
-            springs = Springs.build(system, constraints)
+            springs, adhesive = Springs.build(system, constraints), adhesion(system, constraints)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             if same_B:
@@ -208,7 +208,7 @@ class TornSolver:
                 )
                 projector = Projector.build(coarse_space, Face.whole(constraints))
         with phase("feasible start"):
-            data = self._data(local, projector, c, constraints.friction, springs)
+            data = self._data(local, projector, c, constraints, springs, adhesive)
         with phase("factorisation"):
             if same_B:
                 return same_B, data, ["factors", "coarse problem", "norm"]
@@ -235,14 +235,22 @@ class TornSolver:
         local: LocalSetup,
         projector: Projector,
         c: Vector,
-        friction: FrictionRows,
+        constraints: Constraints,
         springs: Springs | None,
+        adhesive: Vector | None,
     ) -> ContactData:
         """Return loads and right-hand sides, after checking that the load can be balanced."""
         system, coarse_space = self.system, projector.coarse_space
         load = local.unknowns.with_ground(
             np.concatenate([np.zeros(0), *(s.load for s in system.subdomains)])
         )
+        load_size = local.unknowns.with_ground(
+            np.concatenate([np.zeros(0), *(s.size_of_load for s in system.subdomains)])
+        )
+        if adhesive is not None:
+            pulls = constraints.matrix.T @ adhesive
+            load, load_size = load + pulls, load_size + np.abs(pulls)
+        friction = constraints.friction
         e = coarse_space.coarse_load(load)
         check_load(system, projector, e)
         bound = friction.bound
@@ -258,13 +266,18 @@ class TornSolver:
         )
         feasible = self._balance(bound)
         radius = bound.at(friction.pressing(feasible, coarse_space.constraints.layout))
-        size = coarse_space.coarse_load_size(
-            local.unknowns.with_ground(
-                np.concatenate([np.zeros(0), *(s.size_of_load for s in system.subdomains)])
-            )
-        )
+        size = coarse_space.coarse_load_size(load_size)
         return ContactData(
-            load, c, e, size, feasible, bound, friction.own_bound, radius, springs=springs
+            load,
+            c,
+            e,
+            size,
+            feasible,
+            bound,
+            friction.own_bound,
+            radius,
+            springs=springs,
+            adhesion=adhesive,
         )
 
     def _first_state(
@@ -429,15 +442,16 @@ class TornSolver:
         unknowns = self.setup.local.unknowns
         recovered = outcome.candidate.recovered
         constraints = self.setup.constraints
-        normal_force, friction = constraints.contacts.forces(multipliers), constraints.friction
+        pressed, friction = constraints.contacts.forces(multipliers), constraints.friction
+        forces = self.data.without_adhesion(multipliers)
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.given(friction.pressing(multipliers, constraints.layout))
         bound = friction.given(friction.scale) * self.data.own_bound.at(pressing)
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),
-            normal_force,
-            (normal_force > 0.0) | constraints.held,
+            constraints.contacts.forces(forces),
+            (pressed > 0.0) | constraints.held,
             constraints.tied.forces(multipliers),
             tangential_forces(constraints, self.data, multipliers),
             friction.given(outcome.candidate.slips / friction.scale[:, None]),

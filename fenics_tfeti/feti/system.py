@@ -224,6 +224,9 @@ class ContactRows:
         it presses, and opens it where it pulls [m/N]. Zero is rigid, infinity in the second column
         lets surfaces come apart: 0 and infinity, the default, are those of contact. The force of a
         row is that of its node; gaps are counted from ``gap``.
+    adhesion : (rows,) array, optional
+        Force that contact rows without springs can pull with before the surfaces come apart [N]: it
+        acts where they are apart, too. 0 by default.
 
     Examples
     --------
@@ -249,6 +252,7 @@ class ContactRows:
     area: Vector | None = None
     held: Mask | None = None
     compliance: Vector | None = None
+    adhesion: Vector | None = None
 
     def __post_init__(self) -> None:
         """Convert lists and other types of numbers to arrays."""
@@ -256,13 +260,15 @@ class ContactRows:
             _set(self, "held", np.zeros(np.shape(self.gap), dtype=bool))
         if self.compliance is None:
             _set(self, "compliance", np.tile([0.0, np.inf], (*np.shape(self.gap), 1)))
+        if self.adhesion is None:
+            _set(self, "adhesion", np.zeros(np.shape(self.gap)))
         if self.slaves is None:
             _set(self, "slaves", np.ones(np.shape(self.gap), dtype=np.int64))
         if self.area is None:
             _set(self, "area", np.full(np.shape(self.gap), np.nan))
         _convert(self, offsets=np.int64, nodes=np.int64, contact=np.int64, slaves=np.int64)
         _convert(self, coefficients=np.float64, gap=np.float64, area=np.float64, held=np.bool_)
-        _convert(self, compliance=np.float64)
+        _convert(self, compliance=np.float64, adhesion=np.float64)
 
     @staticmethod
     def none(gdim: int) -> ContactRows:
@@ -332,6 +338,7 @@ class ContactRows:
             np.concatenate([np.asarray(part.area) for part in parts]),
             np.concatenate([np.asarray(part.held) for part in parts]),
             np.concatenate([np.asarray(part.compliance) for part in parts]),
+            np.concatenate([np.asarray(part.adhesion) for part in parts]),
         )
 
     def chosen(self, rows: Numbers) -> ContactRows:
@@ -349,6 +356,7 @@ class ContactRows:
             np.asarray(self.area)[rows],
             np.asarray(self.held)[rows],
             np.asarray(self.compliance)[rows],
+            np.asarray(self.adhesion)[rows],
         )
 
     def with_terms(self, row: Numbers, nodes: Numbers, coefficients: Vector) -> ContactRows:

@@ -217,6 +217,41 @@ def test_soft_contact_between_supports():
         TornSolver(system)
 
 
+# -- adhesion --------------------------------------------------------------------------------------
+
+
+@once
+@pytest.mark.parametrize(("displacement", "opens"), [(-0.02, False), (0.02, False), (0.06, True)])
+def test_adhesion_up_to_a_traction(displacement, opens):
+    """Surfaces are closed up to it, and pulled by it when they come apart."""
+    system, areas = bar(displacement)
+    traction = 0.02 * MODULUS
+    system = with_fields(system, "contacts", adhesion=traction * areas)
+    solution = TornSolver(system, Options(rtol=1e-11)).solve()
+    pressure = max(-0.5 * MODULUS * displacement, -traction)
+    np.testing.assert_allclose(solution.normal_force / areas, pressure, rtol=1e-9)
+    assert solution.active.all() == (not opens)
+    opening = displacement + 2.0 * pressure / MODULUS
+    energy = pressure**2 / MODULUS + traction * opening
+    assert solution.report.energy == pytest.approx(energy, rel=1e-9)
+    assert solution.report.contacts[0].normal_force == pytest.approx(pressure, rel=1e-9)
+
+
+@once
+@pytest.mark.parametrize(("seed", "method"), [(9, "active_set"), (1, "active_set"), (5, "smalbe")])
+def test_random_adhesion(seed, method):
+    """Beside springs, at nodes, in rows that interpolate, and in any rows."""
+    system = random_system(seed)
+    rows = system.contacts
+    adheres = (np.arange(rows.size) % 2 == 0)[:, None]
+    compliance = np.where(adheres, [0.0, np.inf], np.asarray(rows.compliance))
+    adhesion = np.where(adheres[:, 0], np.linspace(0.01, 0.2, rows.size), 0.0)
+    system = with_fields(system, "contacts", adhesion=adhesion, compliance=compliance)
+    exact = WithSprings.solve(system)
+    assert (exact.force[adhesion > 0.0] < 0.0).any()
+    assert_solves(system, Options(rtol=1e-8, method=method))
+
+
 # -- friction --------------------------------------------------------------------------------------
 
 

@@ -149,6 +149,9 @@ CONTACTS: list[Mistake] = [
     (rows(compliance=at((4, 1), np.nan)), "compliance", "1 rows", "nan where it pulls"),
     (rows(compliance=at((4, 1), 1.0), held=at(4, True)), "compliance", "1 rows that hold", "row 4"),
     (rows(compliance=at((4, 1), 1.0), gap=at(4, np.inf)), "compliance", "infinite gap", "row 4"),
+    (rows(adhesion=at(4, -1.0)), "contacts.adhesion", "row 4 (joint)", "-1 N", "from 0 on"),
+    (rows(adhesion=at(4, 1.0), held=at(4, True)), "adhesion", "1 rows with springs or", "row 4"),
+    (rows(adhesion=at(4, 1.0), gap=at(4, np.inf)), "adhesion", "infinite gap", "row 4"),
     (rows(contact=at(4, -1)), "contacts.contact", "-1"),
     (rows(contact=at(4, 10**9)), "contacts.contact", "1000000000", "16 contact rows", "0, 1, ..."),
 ]

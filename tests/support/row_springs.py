@@ -129,6 +129,8 @@ class WithSprings(Glued):
         )
         q = np.zeros(columns.size)
         q[: free.size], q[slack] = -(self.f - K @ u)[free], friction.bound
+        # of surfaces that come apart, the work of adhesion
+        q[parts[1]] += np.asarray(contacts.adhesion)[at[1][0]]
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-12
@@ -144,7 +146,8 @@ class WithSprings(Glued):
         self.tangential = -z[m + len(positive) :].reshape(sites, gdim)[:, 1:]
         self.slip = (T @ u - np.asarray(friction.slip).ravel()).reshape(sites, gdim - 1)
         springs = 0.5 * columns.soft[free.size :] @ x[free.size :] ** 2
-        self.energy = float(0.5 * u @ K @ u - self.f @ u + springs + friction.bound @ x[slack])
+        of_slips = friction.bound @ x[slack] + q[parts[1]] @ x[parts[1]]
+        self.energy = float(0.5 * u @ K @ u - self.f @ u + springs + of_slips)
         return self
 
     def energy_norm(self, displacements: list[np.ndarray]) -> float:

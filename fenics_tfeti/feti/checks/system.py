@@ -407,7 +407,9 @@ def _check_rows(what: str, rows: ContactRows, gdim: int, names: Sequence[str]) -
     _check_fields(label, rows, np.float64, area=(k,))
     _check_fields(label, rows, np.bool_, held=(k,))
     _check_fields(label, rows, np.float64, compliance=(k, 2))
+    _check_fields(label, rows, np.float64, adhesion=(k,))
     _check_compliance(what, rows, names)
+    _check_adhesion(what, rows, names)
     if np.any(np.asarray(rows.area) < 0.0) or np.any(np.isinf(np.asarray(rows.area))):
         raise InputError(
             f"{what}.area: an area is finite and at least 0; NaN stands for the length"
@@ -443,6 +445,32 @@ def _check_compliance(what: str, rows: ContactRows, names: Sequence[str]) -> Non
         raise InputError(
             f"{what}.compliance: {apart.size} rows have springs that pull over an infinite gap, "
             f"the first is {_row(rows, apart[0], names)}. Give them infinity, or a gap"
+        )
+
+
+def _check_adhesion(what: str, rows: ContactRows, names: Sequence[str]) -> None:
+    """Check that adhesion is of contact rows that are neither held nor springs."""
+    adhesion = np.asarray(rows.adhesion)
+    wrong = np.flatnonzero(~((adhesion >= 0.0) & np.isfinite(adhesion)))
+    if wrong.size:
+        raise InputError(
+            f"{what}.adhesion: {wrong.size} rows have wrong forces, the first is "
+            f"{_row(rows, wrong[0], names)} with {adhesion[wrong[0]]:g} N. Give finite numbers "
+            "from 0 on"
+        )
+    others = np.flatnonzero(
+        (adhesion > 0.0) & (rows.has_springs | np.asarray(rows.held) | (what == "tied"))
+    )
+    if others.size:
+        raise InputError(
+            f"{what}.adhesion: {others.size} rows with springs or that hold with equality adhere, "
+            f"the first is {_row(rows, others[0], names)}. Give adhesion to contact rows alone"
+        )
+    apart = np.flatnonzero((adhesion > 0.0) & ~np.isfinite(rows.gap))
+    if apart.size:
+        raise InputError(
+            f"{what}.adhesion: {apart.size} rows adhere over an infinite gap, the first is "
+            f"{_row(rows, apart[0], names)}. Give them 0, or a gap"
         )
 
 

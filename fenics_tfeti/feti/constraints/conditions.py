@@ -105,6 +105,7 @@ def condition_rows(
     # stays open
     stays_open = ~free & (gap > tolerance)
     soft, has_springs = np.asarray(contacts.compliance)[:, 0] > 0.0, contacts.has_springs
+    has_springs |= np.asarray(contacts.adhesion) > 0.0
     elastic = np.asarray(system.friction.compliance) > 0.0
     has_springs[slip] = np.repeat(elastic, system.gdim - 1)
     finite[slip] &= finite[normal[slip]] & (bounded[slip] | ~stays_open[normal[slip]])

@@ -60,7 +60,7 @@ class Conditions:
     direction: Numbers  # (k,): number of the tangent
     normal: Numbers  # (k,): number of the contact row of tangential rows; -1 of others
     bounded: Mask  # (k,): tangential rows with a slip bound that needs no normal force
-    spring: Mask  # (k,): contact rows with a spring, tangential ones with elastic slip
+    spring: Mask  # (k,): contact rows with a spring or adhesion, tangential ones with elastic slip
     soft: Mask  # (k,): contact rows that give way where they press
 
     def chosen(self, rows: Mask) -> Conditions:

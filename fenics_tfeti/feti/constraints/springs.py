@@ -101,6 +101,21 @@ class Springs:
         return energy, np.maximum(np.where(elastic, squares / (2.0 * safe), lack), 0.0)
 
 
+def adhesion(system: TornSystem, constraints: Constraints) -> Vector | None:
+    """Return the multipliers a (m,) of adhesion; None, on all ranks, without any. Collective.
+
+    With l' = l + a >= o, and the load f + B'a that pulls the surfaces together, contact that
+    adheres is contact: f - B'l = f + B'a - B'l'.
+    """
+    given, layout = constraints.contacts, constraints.layout
+    forces = np.where(given.own_rows >= 0, np.asarray(system.contacts.adhesion), 0.0)
+    if not any_rank(layout.comm, forces):
+        return None
+    part, here = np.zeros(constraints.size), np.flatnonzero(forces)
+    part[given.own_rows[here]] = forces[here] / given.scale[here]
+    return layout.sum(part)
+
+
 def pushing_rows(constraints: Constraints, springs: Springs | None) -> Numbers:
     """Return the contact rows whose multipliers are not negative, local positions, ascending."""
     rows = constraints.inequality

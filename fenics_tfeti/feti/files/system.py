@@ -47,6 +47,7 @@ _ROWS = (
     "area",
     "held",
     "compliance",
+    "adhesion",
 )
 _FRICTION = ("row", "tangents", "bound", "slip", "coefficient", "compliance")
 _PRESCRIBED = ("nodes", "components", "values", "condition")
@@ -321,7 +322,10 @@ def _rows(file: ArrayFile, part: str, gdim: int, comm: MPI.Intracomm) -> Contact
     area = file.optional(f"{part}/area", "numbers", gap.shape)
     held = file.optional(f"{part}/held", "truth values", gap.shape)
     compliance = file.optional(f"{part}/compliance", "numbers", (gap.size, 2))
-    rows = ContactRows(offsets, nodes, coefficients, gap, contact, slaves, area, held, compliance)
+    adhesion = file.optional(f"{part}/adhesion", "numbers", gap.shape)
+    rows = ContactRows(
+        offsets, nodes, coefficients, gap, contact, slaves, area, held, compliance, adhesion
+    )
     return rows.chosen(np.array_split(np.arange(rows.size), comm.size)[comm.rank])
 
 

@@ -270,7 +270,13 @@ def build_report(
         forces = setup.constraints.friction.at_sites(candidate.multipliers)
         plastic = springs.plastic(slips, forces)
         slips = np.where(candidate.recovered.face.sticking[:, None], 0.0, plastic)
-    sums = resultants(system, setup.F, local, data, candidate.multipliers, slips)
+    multipliers, energy = data.without_adhesion(candidate.multipliers), candidate.energy
+    adhesion = data.adhesion
+    if adhesion is not None:
+        # of the given load, and of the gaps that adhesion has opened
+        energy += setup.constraints.layout.space.dots((adhesion, data.c))[0]
+        data = replace(data, load=data.load - setup.F.constraint_forces(adhesion))
+    sums = resultants(system, setup.F, local, data, multipliers, slips)
     return Report(
         unknowns=_unknowns(system, setup, data, candidate),
         reused=reused,
@@ -297,7 +303,7 @@ def build_report(
         },
         seconds=context.timer.slowest(comm),
         peak_memory_bytes=peak_memory(comm),
-        energy=candidate.energy,
+        energy=energy,
         **vars(sums),
         free_motions=_described(system, setup, candidate.projector.free),
         weak_motions=_weak_motions(system, setup, candidate),

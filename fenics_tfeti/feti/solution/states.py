@@ -28,7 +28,13 @@ class ContactData:
     radius: Vector  # (k,) r: slip bounds in units of multipliers, Coulomb's for some normal forces
     motion: Vector | None = None  # (coarse,) rigid motions a that were taken out of c
     springs: Springs | None = None  # of contact rows
+    # (m,) a of rows that adhere: multipliers here are lambda + a, and the load has B'a
+    adhesion: Vector | None = None
     removed: Vector | float = 0.0  # (m,) B R a of those of them that supports prescribe
+
+    def without_adhesion(self, multipliers: Vector) -> Vector:
+        """Return the multipliers lambda (m,) of contact that adheres."""
+        return multipliers if self.adhesion is None else multipliers - self.adhesion
 
 
 @dataclass(frozen=True)

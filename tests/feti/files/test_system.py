@@ -46,6 +46,7 @@ def everything() -> TornSystem:
         rows,
         gap=np.append(rows.gap[:-1], np.inf),
         held=is_held,
+        adhesion=1.0 * (np.arange(rows.size) == 0),
         compliance=np.column_stack([0.5 * (np.arange(rows.size) > 1), np.full(rows.size, np.inf)]),
     )
     rubbing = np.arange(0, rows.size, 2)
