@@ -17,7 +17,9 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Deformed
+from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
@@ -261,6 +263,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         comm = self.space.mesh.comm
         if self._solved is None or self._solution is None:
             raise InputError("mesh_error() is of a solution; call solve() first")
+        self._check_hard("mesh_error() is")
         meet(comm, "mesh_error()")
         with self._timer.phase("mesh error"):
             cells = MeshErrorProblem(
@@ -381,6 +384,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                     "derivatives are those of undeformed surfaces: with gaps=Deformed() normals "
                     "and gaps follow the displacement, which they leave out. Leave gaps out"
                 )
+            self._check_hard("derivatives are")
             if self._solved is None or self._solution is None or not self.report.converged:
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
             if not self._is_solved:
@@ -405,6 +409,16 @@ class ContactProblem(SteppedProblem[ContactReport]):
         linear = solver.linear_problem()
         origin = self._accepted.origin
         return SolvedState(self._torn, forms, solved, self._solution, linear, origin, is_current)
+
+    def _check_hard(self, what: str) -> None:
+        """Check that no contact has a law or elastic slip, as not everything is for these."""
+        for number, contact in enumerate(self.contacts):
+            friction = getattr(contact, "friction", None)
+            if getattr(contact, "law", None) is not None or is_elastic(friction):
+                raise InputError(
+                    f"{contact_name(contact, number)}: {what} of hard contact without elastic slip "
+                    "alone. Leave out law and elastic_slip"
+                )
 
     # -- the present data --------------------------------------------------------------------------
 

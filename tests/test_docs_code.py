@@ -154,6 +154,7 @@ CONTINUING = [
 ALONE = [
     "cad_mesh",
     "impact",
+    "interface_laws",
     "many_bodies",
     "mesh_error",
     "nonlinear",

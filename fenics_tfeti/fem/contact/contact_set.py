@@ -30,6 +30,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
     friction_rows,
     nodal_friction,
 )
+from fenics_tfeti.fem.contact.conditions.laws import NodalLaw, nodal_law
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
@@ -63,6 +64,7 @@ class FoundContact:
     conditions: ContactConditions
     undeformed: ContactConditions
     friction: NodalFriction | None = None  # at `conditions`
+    law: NodalLaw | None = None  # at `conditions`
     on_body: OnBody | None = None  # where the conditions are on a rigid body
     rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
     part: int = 0  # of the contact, see `match_pairs`
@@ -188,7 +190,16 @@ class ContactSet:
                 of_body = -(rows.length[:, None] * rows.normal)[own_rows]
                 moved = frame.displacements(frame.body.prescribed_motion, places)
                 rows = frame.joined(rows, own_rows, places, of_body, moved)
-        return self.rigid.joined(rows, self.bodies)
+        return self._with_laws(self.rigid.joined(rows, self.bodies))
+
+    def _with_laws(self, rows: ContactRows) -> ContactRows:
+        """Return the conditions with the springs and the adhesion of laws."""
+        compliance, adhesion = np.array(rows.compliance), np.array(rows.adhesion)
+        for found, own_rows in zip(self.contacts, self.positions, strict=True):
+            if found.law is not None:
+                compliance[own_rows] = found.law.compliance
+                adhesion[own_rows] = found.law.adhesion
+        return replace(rows, compliance=compliance, adhesion=adhesion)
 
     @property
     def positions(self) -> list[Numbers]:
@@ -238,11 +249,18 @@ class ContactSet:
         return on.slave - start + moved - slid
 
     def with_friction(self, uh: Function | None = None) -> ContactSet:
-        """Return the set with friction at its conditions, by default undeformed. Collective."""
+        """Return the set with friction and laws at its conditions, by default undeformed.
+
+        Collective.
+        """
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         boundary = self.boundary if uh is None else self.boundary.deformed(uh)
         contacts = [
-            replace(f, friction=nodal_friction(f.contact, f.conditions, fixed, boundary))
+            replace(
+                f,
+                friction=nodal_friction(f.contact, f.conditions, fixed, boundary),
+                law=nodal_law(f.contact, f.conditions),
+            )
             for f in self.contacts
         ]
         return replace(self, contacts=contacts)

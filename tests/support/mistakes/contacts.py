@@ -14,6 +14,7 @@ from fenics_tfeti import (
     Plane,
     RigidObstacle,
     SelfContact,
+    SoftContact,
     Sphere,
 )
 from mistakes.catalogue import beams, other_beams, posed, solved, table
@@ -40,6 +41,15 @@ def weighted(weight):
         contacts=lambda s: [ContactPair(s.facet_tags, SLAVE, MASTER, name="joint")],
         measure_weight=weight,
     )
+
+
+def soft_pair(scene, stiffness):
+    return ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", law=SoftContact(stiffness))
+
+
+def soft_and_exact(comm):
+    """Pose the beams with a law that is for undeformed surfaces."""
+    posed(contacts=lambda s: [soft_pair(s, 1e9)], gaps=Deformed())(comm)
 
 
 def radius(scene):
@@ -123,6 +133,11 @@ MISTAKES = table(
         "friction that varies over a surface that touches itself",
         posed(contacts=lambda s: [SelfContact(friction=Coulomb(lambda x: 0.1 * x[0]))]),
     ),
+    (
+        "soft contact of no stiffness somewhere",
+        posed(contacts=lambda s: [soft_pair(s, lambda x: x[0] - 1.0)]),
+    ),
+    ("soft contact that sticks to the deformed surfaces", soft_and_exact),
     ("weight that is negative", weighted(lambda s: -2 * ufl.pi * radius(s))),
     ("weight that is negative somewhere", weighted(lambda s: radius(s) - 1.4)),
     ("weight that is zero", weighted(0.0)),

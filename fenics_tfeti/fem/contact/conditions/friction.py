@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     row_values,
 )
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, Tresca
+from fenics_tfeti.fem.contact.descriptions.friction import NodalValue, Tresca
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.fem.nodes import NodeMap
@@ -55,6 +55,11 @@ class NodalFriction:
     bound: Vector  # slip bounds (k,) [N]; 0 with Coulomb's law
     coefficient: Vector  # of friction (k,); 0 with Tresca's law
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
+    compliance: Vector  # elastic slip over force (k,) [m/N]
+
+    def elastic_slip(self, force: Vector) -> Vector:
+        """Return the elastic slips (k, gdim - 1) of tangential forces."""
+        return self.compliance[:, None] * force
 
 
 def tangents(normal: Vector, prescribed: Mask) -> Vector:
@@ -92,8 +97,13 @@ def nodal_friction(
     law, surface = contact.friction, conditions.surface
     if law is None:
         return None
-    values = _law_values(law, conditions)
     is_tresca = isinstance(law, Tresca)
+    label = "slip_bound" if is_tresca else "coefficient"
+    values = nodal_values(getattr(law, label), label, conditions)
+    elastic = nodal_values(law.elastic_slip, "elastic_slip", conditions)
+    compliance = np.divide(
+        elastic, conditions.area, out=np.zeros_like(elastic), where=conditions.area > 0.0
+    )
     moved = np.zeros_like(conditions.normal)
     if isinstance(contact, RigidObstacle) and contact.displacement is not None:
         label = f"{conditions.name}: the obstacle's displacement"
@@ -104,12 +114,12 @@ def nodal_friction(
         np.where(is_tresca, values * conditions.area, 0.0),
         np.where(is_tresca, 0.0, values),
         moved,
+        compliance,
     )
 
 
-def _law_values(law: FrictionLaw, conditions: ContactConditions) -> Vector:
-    """Return a law's bound or coefficient (k,), at least 0, at the conditions. Collective."""
-    ((label, value),) = vars(law).items()
+def nodal_values(value: NodalValue, label: str, conditions: ContactConditions) -> Vector:
+    """Return data of a law (k,), at least 0, at the conditions. Collective."""
     label, nodes = f"{conditions.name}: {label}", conditions.surface.boundary.nodes
     space = nodes.space
     with raise_collectively(nodes.comm):
@@ -145,6 +155,7 @@ def friction_rows(
         np.concatenate([friction.tangents for _, friction, _ in sites]),
         np.concatenate([friction.bound for _, friction, _ in sites]),
         coefficient=np.concatenate([friction.coefficient for _, friction, _ in sites]),
+        compliance=np.concatenate([friction.compliance for _, friction, _ in sites]),
     )
     tangential = new.tangential_rows(rows)
     slip = row_values(nodes, tangential, origin).reshape(-1, gdim - 1)

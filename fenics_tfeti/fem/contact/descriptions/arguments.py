@@ -16,6 +16,7 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
+from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -109,6 +110,7 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
     names = ("contacts", kinds, "contact")
     listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
     for number, contact in enumerate(listed if exact else []):
+        _check_hard(contact, contact_name(contact, number), exact)
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
                 f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
@@ -116,6 +118,20 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
                 "Leave out one of them"
             )
     return listed
+
+
+def _check_hard(contact: Any, name: str, exact: str) -> None:
+    """Check that a contact has no law that is for undeformed surfaces alone."""
+    if getattr(contact, "law", None) is not None:
+        raise InputError(
+            f"{name}: law={contact.law!r} is for small strains on undeformed surfaces, but {exact} "
+            "moves them. Leave out one of them"
+        )
+    if is_elastic(getattr(contact, "friction", None)):
+        raise InputError(
+            f"{name}: elastic_slip is for small strains on undeformed surfaces, but {exact} moves "
+            "them. Leave out one of them"
+        )
 
 
 def _is_condition(thing: Any) -> bool:

@@ -9,6 +9,7 @@ import numpy as np
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import FrictionLaw, check_friction
+from fenics_tfeti.fem.contact.descriptions.laws import InterfaceLaw, check_law
 from fenics_tfeti.fem.contact.descriptions.partners import Mortar, NodePartners
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
@@ -46,6 +47,9 @@ class ContactPair(SurfacePair):
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
+    law : SoftContact, Adhesive or ElasticBond, optional
+        What the surfaces exert across their gap; by default hard contact, that only presses. With
+        small strains on undeformed surfaces only.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" sets
         gaps to zero that are no larger than the distance of the facets from the curved surface. A
@@ -80,6 +84,7 @@ class ContactPair(SurfacePair):
         "fenics_tfeti.io.split_interfaces makes two of it"
     )
     friction: FrictionLaw | None = None
+    law: InterfaceLaw | None = None
     initial_gap: InitialGap = "geometric"
     normal: VectorField | None = None
     partial: bool = False
@@ -90,6 +95,7 @@ class ContactPair(SurfacePair):
         super().__post_init__()
         label = checked_label(self)
         check_friction(self.friction, label)
+        check_law(self.law, label)
         gap = self.initial_gap
         is_word = isinstance(gap, str) and gap in ("geometric", "touching")
         check_value(
@@ -129,6 +135,8 @@ class RigidObstacle:
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
+    law : SoftContact, Adhesive or ElasticBond, optional
+        As that of a `ContactPair`.
     displacement : (gdim,) array-like or callable, optional
         How far what is at each point of the obstacle has moved since the undeformed state [m], for
         friction: slip is relative to the obstacle. A callable gets x (3, n), with exact
@@ -154,6 +162,7 @@ class RigidObstacle:
     _: KW_ONLY
     name: str = ""
     friction: FrictionLaw | None = None
+    law: InterfaceLaw | None = None
     displacement: VectorField | None = None
     rigid_body: RigidBody | None = None
 
@@ -174,6 +183,7 @@ class RigidObstacle:
                 "a function of x that returns (gap, normal) or the gap, such as Plane,",
             )
         check_friction(self.friction, label)
+        check_law(self.law, label)
         if self.displacement is not None and self.friction is None:
             raise InputError(
                 f"{label}: the obstacle's displacement has no effect without friction: leave it "
@@ -232,8 +242,8 @@ class SelfContact:
         if self.distance is not None:
             check_positive(self.distance, f"{label}: the distance", "m")
         check_friction(self.friction, label)
-        data = next(iter(vars(self.friction).values())) if self.friction is not None else 0.0
-        if not is_number(data):
+        data = vars(self.friction).values() if self.friction is not None else ()
+        if not all(map(is_number, data)):
             raise InputError(
                 f"{label}: friction has data that vary over the slave, but which facets are of a "
                 "slave changes: give it a number"

@@ -26,17 +26,22 @@ class Tresca:
         of the slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the
         mesh. Times the area of `ContactResult`, which is that of the deformed surface with
         ``Deformed()`` and finite strains, it becomes the largest nodal force.
+    elastic_slip : float, callable or dolfinx.fem.Function
+        Slip over tangential traction below the bound [m/Pa], which goes back with the traction: 0
+        by default, then the surfaces stick. With small strains on undeformed surfaces only.
 
     Examples
     --------
-    >>> Tresca(slip_bound=2e6)
-    Tresca(slip_bound=2000000.0)
+    >>> Tresca(slip_bound=2e6).slip_bound
+    2000000.0
     """
 
     slip_bound: NodalValue
+    elastic_slip: NodalValue = 0.0
 
     def __post_init__(self) -> None:
-        _check_nodal_value(self.slip_bound, "Tresca: the slip_bound")
+        check_nodal_value(self.slip_bound, "Tresca: the slip_bound")
+        check_nodal_value(self.elastic_slip, "Tresca: the elastic_slip")
 
 
 @dataclass(frozen=True)
@@ -48,20 +53,30 @@ class Coulomb:
     coefficient : float, callable or dolfinx.fem.Function
         Coefficient of friction: a number, a function of the undeformed nodes x (3, n) [m] of the
         slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the mesh.
+    elastic_slip : float, callable or dolfinx.fem.Function
+        As that of `Tresca`.
 
     Examples
     --------
-    >>> Coulomb(coefficient=0.3)
-    Coulomb(coefficient=0.3)
+    >>> Coulomb(coefficient=0.3).elastic_slip
+    0.0
     """
 
     coefficient: NodalValue
+    elastic_slip: NodalValue = 0.0
 
     def __post_init__(self) -> None:
-        _check_nodal_value(self.coefficient, "Coulomb: the coefficient")
+        check_nodal_value(self.coefficient, "Coulomb: the coefficient")
+        check_nodal_value(self.elastic_slip, "Coulomb: the elastic_slip")
 
 
 FrictionLaw: TypeAlias = Tresca | Coulomb
+
+
+def is_elastic(law: FrictionLaw | None) -> bool:
+    """Tell whether a law of friction has elastic slip."""
+    slip = None if law is None else law.elastic_slip
+    return slip is not None and not (is_number(slip) and slip == 0.0)
 
 
 def check_friction(law: Any, label: str) -> None:
@@ -71,7 +86,8 @@ def check_friction(law: Any, label: str) -> None:
         raise wrong_type(f"{label}: friction", law, expected)
 
 
-def _check_nodal_value(value: Any, label: str) -> None:
+def check_nodal_value(value: Any, label: str, positive: bool = False) -> None:
+    """Check a number, at least 0 or positive, a function of x or a Function."""
     interpolated = (
         ", or interpolate it into a scalar Function of degree 1: f = Function(functionspace(mesh, "
         "('Lagrange', 1))), f.interpolate(Expression(...))"
@@ -79,8 +95,9 @@ def _check_nodal_value(value: Any, label: str) -> None:
     check_value(
         isinstance(value, Function)
         or is_function(value, label, interpolated)
-        or (is_number(value) and value >= 0.0),
+        or (is_number(value) and (value > 0.0 if positive else value >= 0.0)),
         label,
         value,
-        "a finite number, at least 0, a function x (3, n) -> (n,) or a scalar Function of degree 1",
+        f"a {'positive' if positive else 'finite'} number{'' if positive else ', at least 0'}, a "
+        "function x (3, n) -> (n,) or a scalar Function of degree 1",
     )

@@ -81,10 +81,12 @@ class Roles:
 
 def _one_sided_data(contact: ContactPair) -> str:
     """Return the argument of a pair, if any, whose values belong to the slave that was given."""
-    law = contact.friction
+    laws = [law for law in (contact.friction, contact.law) if law is not None]
+    varying = [law for law in laws if not all(map(np.isscalar, vars(law).values()))]
     one_sided = {
         "normal": contact.normal is not None,
         "initial_gap": callable(contact.initial_gap),
-        "friction": law is not None and not np.isscalar(next(iter(vars(law).values()))),
+        "friction": contact.friction in varying,
+        "law": contact.law in varying,
     }
     return next((name for name, present in one_sided.items() if present), "")

@@ -44,7 +44,8 @@ class ContactEntry(ContactForces):
         good.
     penetration : float or None
         Of mortar conditions the largest depth in the other body, after the solve, of slave nodes
-        without a condition and of nodes at the border of the master's surface [m].
+        without a condition and of nodes at the border of the master's surface [m]; None of soft
+        contact.
     tension, shortening : float or None
         Of a bolt: force in the shank along its axis [N], and by how much it is shortened [m].
     """
@@ -118,11 +119,13 @@ class FrictionResult:
         Slip bound: the force at which the node slips [N].
     slip : (k, gdim) array
         Tangential displacement of the slave relative to the master or obstacle since the last
-        step, in the direction opposite to the force [m]; zero where it sticks.
+        step, in the direction opposite to the force [m]; zero where it sticks. With elastic slip
+        that of the force is a part of it, also where it sticks.
     sticking : (k,) bool array
         Whether the force is below its bound.
     work : (k,) array
-        Work that friction dissipates since the last step: force times slip [J].
+        Work that friction dissipates since the last step: force times slip beyond the elastic one
+        [J].
 
     Examples
     --------
@@ -164,9 +167,9 @@ class ContactResult(_SurfaceResult):
         Gap in the undeformed state [m]; infinite where there is no obstacle. With mortar conditions
         the mean around the node.
     opening : (k,) array
-        Gap after the solve [m]: zero where the contact is closed, infinite where there is no
-        obstacle. It is the gap less the approach along the normal, with exact non-penetration of
-        the surfaces of the last pass.
+        Gap after the solve [m]: zero where the contact is closed, negative where it is soft and
+        pressed, infinite where there is no obstacle. It is the gap less the approach along the
+        normal, with exact non-penetration of the surfaces of the last pass.
     normal : (k, gdim) array
         Outward unit normals of the slave.
     nodal_normal_force : (k,) array
@@ -174,15 +177,15 @@ class ContactResult(_SurfaceResult):
         2 pi r, [N/rad] if they have r. With mortar conditions beside a node of both surfaces, as
         the tip of a crack, what acts on this node from both sides is part of it.
     pressure : (k,) array
-        Normal force over the area that belongs to the node [Pa]. With mortar conditions, nodes that
-        are covered by less than 0.4 are taken together with their neighbours that are covered
-        better, and have the mean of these' pressures: the force at the rim of a contact is over
-        next to no area.
+        Normal force over the area that belongs to the node, negative where adhesion pulls [Pa].
+        With mortar conditions, nodes that are covered by less than 0.4 are taken together with
+        their neighbours that are covered better, and have the mean of these' pressures: the force
+        at the rim of a contact is over next to no area.
     nominal_pressure : (k,) array
         Normal force over undeformed area: the pressure times the ratio of the present to the
         undeformed area of the surface around the node [Pa].
     active : (k,) bool array
-        Whether the normal force is positive.
+        Whether the normal force is positive; of surfaces that adhere whether they are closed.
     area : (k,) array
         The area that belongs to the node, with the problem's `measure_weight` [m^2; m in 2D]: with
         `NonlinearContactProblem` and ``gaps=Deformed()`` that of the deformed surface, with the

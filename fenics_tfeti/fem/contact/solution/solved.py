@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TypeGuard
 
 import numpy as np
 
@@ -17,7 +18,8 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
 )
 from fenics_tfeti.fem.contact.conditions.friction import NodalFriction
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
-from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.laws import SoftContact
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.solution.penetration import measured_penetration, whole_surfaces
 from fenics_tfeti.fem.contact.solution.results import (
@@ -95,7 +97,7 @@ class SolvedContacts:
         }
         for found, result in zip(self.contact_set.contacts, self.contacts, strict=True):
             contact, conditions = found.contact, found.conditions
-            if isinstance(contact, ContactPair) and conditions.is_mortar:
+            if _is_hard(contact) and conditions.is_mortar:
                 depth = measured_penetration(
                     contact,
                     found.undeformed,
@@ -121,10 +123,13 @@ class SolvedContacts:
         return Results([numbered[number] for number in sorted(numbered)])
 
     def obstacle_displacements(self) -> SlaveValues:
-        """Return the displacements of obstacles where there is friction, as in `SlipOrigin`."""
+        """Return the displacements of obstacles where there is friction, as in `SlipOrigin`.
+
+        Elastic slip is added, which the next slips are not counted from.
+        """
         contact_set, keys, parts = self.contact_set, list[str](), list[tuple[Numbers, Vector]]()
-        for found in contact_set.contacts:
-            if found.friction is None:
+        for found, result in zip(contact_set.contacts, self.contacts, strict=True):
+            if found.friction is None or result.friction is None:
                 continue
             on, moved = found.on_body, found.friction.obstacle_displacement
             if on is not None:
@@ -132,6 +137,8 @@ class SolvedContacts:
                 motion = self.bodies.frame_of(found.body).motion - before.motion
                 step = before.displacements(motion, on.places)
                 moved = on.slave - before.undeformed_places(on.slave) + step
+            # forces on the slave are against its slips
+            moved = moved - found.friction.elastic_slip(result.friction.force)
             keys.append(found.history)
             parts.append((contact_set.dofs(found.conditions.slave), moved))
         return SlaveValues.of(keys, parts, (contact_set.boundary.nodes.components,))
@@ -145,6 +152,11 @@ class SolvedContacts:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
         solved = gather_solved(self.contact_set.all_conditions, self.contacts, self.displacement)
         return dict(zip(self.contact_set.keys, solved, strict=True))
+
+
+def _is_hard(contact: Contact) -> TypeGuard[ContactPair]:
+    """Tell whether a contact is a pair that is not meant to be penetrated."""
+    return isinstance(contact, ContactPair) and not isinstance(contact.law, SoftContact)
 
 
 def _contact_result(
@@ -180,7 +192,7 @@ def _contact_result(
         nodal_normal_force=force,
         pressure=pressure,
         nominal_pressure=pressure * conditions.stretch,
-        active=force > 0.0,
+        active=solution.active[rows] if found.law is not None else force > 0.0,
         area=conditions.area,
         coverage=conditions.coverage,
         friction=(
@@ -196,14 +208,16 @@ def _friction_result(
     """Return what a solution is at these sites, the conditions of a contact. Collective."""
     # on the slave forces are against the tangents
     force, slip = solution.tangential_force[sites], solution.slip[sites]
+    sticking = solution.sticking[sites]
+    plastic = np.where(sticking[:, None], 0.0, slip - friction.elastic_slip(force))
     slave_force = -np.einsum("kt,kta->ka", force, friction.tangents)
     return FrictionResult(
         force=slave_force,
         traction=conditions.mean_traction(slave_force),
         bound=solution.slip_bound[sites],
         slip=np.einsum("kt,kta->ka", slip, friction.tangents),
-        sticking=solution.sticking[sites],
-        work=np.sum(force * slip, axis=1),
+        sticking=sticking,
+        work=np.sum(force * plastic, axis=1),
     )
 
 

@@ -1,0 +1,326 @@
+"""Soft contact, adhesion and elastic slip, in columns of uniform stress."""
+
+from __future__ import annotations
+
+from mpi4py import MPI
+
+import numpy as np
+import pytest
+from scenes import Scene, at, dimension, plane, scalar_space, strain
+
+import ufl
+from dolfinx import fem
+
+from fenics_tfeti import (
+    Adhesive,
+    ContactPair,
+    Coulomb,
+    Deformed,
+    ElasticBond,
+    InputError,
+    NonlinearContactProblem,
+    RigidObstacle,
+    SoftContact,
+    Tresca,
+)
+
+FOOT, TOP, SLAVE, MASTER = 1, 2, 5, 6
+YOUNG = 1000.0
+# mm-N-MPa; a certificate of this size leaves errors of stresses below 1e-9
+OPTIONS = {"rtol": 1e-11, "subdomain_size": 60}
+PATCH = 1e-9
+
+
+def columns(cell: str, upper: int = 4, comm: MPI.Comm = MPI.COMM_SELF, degree: int = 1) -> Scene:
+    """Return two unit blocks without Poisson's ratio, the lower one held at its foot.
+
+    Their meshes match where the upper one has 4 cells an edge.
+    """
+    up = dimension(cell) - 1
+    parts = [
+        ((0.0,) * (up + 1), (1.0,) * (up + 1), (4,) * (up + 1)),
+        ((0.0,) * up + (1.0,), (1.0,) * up + (2.0,), (upper,) * up + (3,)),
+    ]
+    marks = [
+        (FOOT, at(up, 0.0), 1),
+        (TOP, at(up, 2.0), 2),
+        (SLAVE, at(up, 1.0), 2),
+        (MASTER, at(up, 1.0), 1),
+    ]
+    scene = Scene.of_boxes(comm, cell, parts, marks, young=YOUNG, degree=degree)
+    scene.a = scene.young * ufl.inner(strain(scene.u), strain(scene.v)) * scene.dx
+    scene.fix(FOOT)
+    return scene
+
+
+TAGS = columns("quadrilateral").facet_tags
+
+
+def pulled(scene: Scene, displacement: float) -> fem.Function:
+    """Move the top along the columns; return the value, to change it."""
+    moved = fem.Function(scene.V)
+    moved.x.array.reshape(-1, scene.gdim)[:, -1] = displacement
+    scene.fix(TOP, value=moved)
+    return moved
+
+
+MESHES = pytest.mark.parametrize(("cell", "upper"), [
+    ("quadrilateral", 4), ("triangle", 5), ("hexahedron", 4), ("tetrahedron", 5),
+])  # fmt: skip
+
+
+@MESHES
+@pytest.mark.parametrize("stiffness", [10.0, 1e5])
+def test_soft_contact(cell, upper, stiffness):
+    """Two columns and the layer in series, whether meshes match or not."""
+    scene = columns(cell, upper)
+    pulled(scene, -0.01)
+    scene.add_pair(law=SoftContact(stiffness), name="layer")
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    layer, pressure = problem.results["layer"], 0.01 / (2.0 / YOUNG + 1.0 / stiffness)
+    np.testing.assert_allclose(layer.pressure, pressure, rtol=PATCH)
+    np.testing.assert_allclose(layer.opening, -pressure / stiffness, rtol=PATCH)
+    assert layer.active.all()
+    assert problem.report.certificate.guaranteed
+
+
+@MESHES
+@pytest.mark.filterwarnings("ignore:.*inside the other body")
+def test_stiff_layer_is_hard_contact_and_soft_one_is_none(cell, upper):
+    forces = []
+    for law in (None, SoftContact(1e7 * YOUNG), SoftContact(1e-7 * YOUNG)):
+        scene = columns(cell, upper)
+        pulled(scene, -0.01)
+        scene.add_pair(law=law)
+        problem = scene.problem(options={"rtol": 1e-8})
+        problem.solve()
+        forces.append(problem.report.contacts[0].normal_force)
+    assert forces[1] == pytest.approx(forces[0], rel=1e-6)
+    assert forces[2] == pytest.approx(0.01e-7 * YOUNG, rel=1e-6)
+
+
+@pytest.mark.parametrize("form", [float, "callable", "Function"])
+def test_stiffness_that_varies(form):
+    """Springs side by side on stiff blocks: pressures follow the stiffness at each node."""
+    scene = columns("quadrilateral")
+    scene.young.value = 1e9
+    pulled(scene, -0.01)
+
+    def stiffness(x):
+        return 1.0 + x[0]
+
+    law = 1.5
+    if form == "callable":
+        law = stiffness
+    elif form == "Function":
+        law = fem.Function(scalar_space(scene.mesh))
+        law.interpolate(stiffness)
+    scene.add_pair(law=SoftContact(law))
+    problem = scene.problem(options={"rtol": 1e-8})
+    problem.solve()
+    result = problem.results[0]
+    expected = 0.015 if form is float else 0.01 * stiffness(result.coordinates.T)
+    np.testing.assert_allclose(result.pressure, expected, rtol=1e-6)
+
+
+def test_soft_obstacle():
+    """Blocks on a soft plane, which carries their load, and nothing else holds along it."""
+    scene = columns("quadrilateral")
+    scene.bcs = []
+    scene.fix(FOOT, 0)
+    scene.fix(TOP, 0)
+    scene.add_load(TOP, (0.0, -3.0))
+    scene.add_pair()
+    scene.add_obstacle(FOOT, plane(1, 2), law=SoftContact(50.0), name="ground")
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    ground = problem.results["ground"]
+    np.testing.assert_allclose(ground.pressure, 3.0, rtol=PATCH)
+    np.testing.assert_allclose(ground.opening, -3.0 / 50.0, rtol=PATCH)
+
+
+@MESHES
+@pytest.mark.parametrize("traction", [3.0, 8.0])
+def test_adhesion(cell, upper, traction):
+    """The surfaces open where the columns would carry more; the traction stays."""
+    scene = columns(cell, upper)
+    pulled(scene, 0.01)
+    scene.add_pair(law=Adhesive(traction))
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    result, stress = problem.results[0], min(traction, 0.005 * YOUNG)
+    np.testing.assert_allclose(result.pressure, -stress, rtol=PATCH)
+    opening = 0.01 - 2.0 * stress / YOUNG
+    np.testing.assert_allclose(result.opening, opening, atol=1e-11)
+    assert result.active.all() == (opening == 0.0)
+    # of the columns, and of the traction on the opening
+    energy = stress**2 / YOUNG + traction * opening
+    assert problem.report.energy == pytest.approx(energy, rel=1e-9)
+
+
+@MESHES
+@pytest.mark.parametrize("displacement", [0.01, -0.01])
+def test_elastic_bond(cell, upper, displacement):
+    """In series with the columns where it is pulled; pressed it is hard contact."""
+    stiffness = 300.0
+    scene = columns(cell, upper)
+    pulled(scene, displacement)
+    scene.add_pair(law=ElasticBond(stiffness))
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    result, soft = problem.results[0], 1.0 / stiffness if displacement > 0.0 else 0.0
+    pressure = -displacement / (2.0 / YOUNG + soft)
+    np.testing.assert_allclose(result.pressure, pressure, rtol=PATCH)
+    np.testing.assert_allclose(result.opening, -pressure * soft, atol=1e-11)
+
+
+def test_bond_that_is_weakened_between_solves():
+    """Where it has failed there is contact; neither factors nor the coarse problem are renewed."""
+    scene = columns("quadrilateral")
+    scene.young.value = 1e6
+    moved = pulled(scene, 0.01)
+    stiffness = fem.Function(scalar_space(scene.mesh))
+    stiffness.x.array[:] = 2.0
+    scene.add_pair(law=ElasticBond(stiffness))
+    problem = scene.problem(options={"rtol": 1e-8})
+    problem.solve()
+    np.testing.assert_allclose(problem.results[0].pressure, -0.02, rtol=1e-5)
+    stiffness.interpolate(lambda x: np.maximum(x[0] - 0.5, 0.0))
+    problem.solve()
+    assert {"factors", "coarse problem", "norm"} <= set(problem.report.reused)
+    result = problem.results[0]
+    expected = -0.01 * np.maximum(result.coordinates[:, 0] - 0.5, 0.0)
+    np.testing.assert_allclose(result.pressure, expected, rtol=1e-4, atol=1e-8)
+    moved.x.array[:] *= -1.0
+    problem.solve()
+    assert (problem.results[0].pressure > 0.0).all()
+
+
+# -- elastic slip ----------------------------------------------------------------------------------
+
+
+def sheared(cell: str = "quadrilateral", upper: int = 4, **friction) -> tuple[Scene, fem.Function]:
+    """Return a column in two halves with friction, and the displacement of its top, to shear it."""
+    scene = columns(cell, upper)
+    # nothing moves along the column: simple shear
+    every = fem.locate_dofs_geometrical(
+        (scene.V.sub(1), scene.V.sub(1).collapse()[0]), lambda x: np.isfinite(x[0])
+    )
+    none = fem.Function(scene.V.sub(1).collapse()[0])
+    moved = pulled(scene, 0.0)
+    scene.bcs.append(fem.dirichletbc(none, every, scene.V.sub(1)))
+    scene.add_pair(friction=Tresca(**friction), name="joint")
+    return scene, moved
+
+
+def shear(moved: fem.Function, displacement: float) -> None:
+    moved.x.array[:] = 0.0
+    moved.x.array.reshape(-1, 2)[:, 0] = displacement
+
+
+def test_elastic_slip_goes_back_and_the_rest_stays(tmp_path):
+    """Load steps out, back and on again, and a checkpoint between them."""
+    stiffness, bound, half = 50.0, 2.0, 0.5 * YOUNG
+    series = 1.0 / (2.0 / half + 1.0 / stiffness)
+    plastic, stress, work = 0.0, 0.0, 0.0
+    problem, moved = None, None
+    for step, displacement in enumerate([0.02, 0.1, 0.05, -0.05, 0.0]):
+        if step in (0, 3):
+            # as a later run goes on
+            scene, moved = sheared(slip_bound=bound, elastic_slip=1.0 / stiffness)
+            problem = scene.problem(options=OPTIONS)
+            if step:
+                assert problem.restore(tmp_path / "state") == step
+        shear(moved, displacement)
+        problem.solve()
+        joint = problem.results["joint"].friction
+        tried = series * (displacement - plastic)
+        stress = np.clip(tried, -bound, bound)
+        yielded = (tried - stress) / series
+        plastic, work = plastic + yielded, abs(stress * yielded)
+        np.testing.assert_allclose(joint.traction[:, 0], -stress, rtol=1e-7)
+        np.testing.assert_allclose(joint.slip[:, 0], stress / stiffness + yielded, rtol=1e-7)
+        assert joint.sticking.all() == (abs(tried) < bound)
+        assert joint.work.sum() == pytest.approx(work, abs=1e-9)
+        assert problem.report.contacts[0].friction_work == pytest.approx(work, abs=1e-9)
+        problem.advance()
+        problem.save(tmp_path / "state")
+
+
+def test_elastic_slip_of_coulombs_law():
+    """On soft contact: the bound is a part of the pressure, which the springs make."""
+    scene = columns("quadrilateral")
+    moved = pulled(scene, -0.05)
+    moved.x.array.reshape(-1, 2)[:, 0] = 0.002
+    scene.add_pair(law=SoftContact(100.0), friction=Coulomb(0.5, elastic_slip=1e-3))
+    problem = scene.problem(options={"rtol": 1e-9})
+    problem.solve()
+    result = problem.results[0]
+    friction = result.friction
+    np.testing.assert_allclose(friction.bound, 0.5 * result.normal_force, rtol=1e-6)
+    slip = friction.traction[:, 0] * -1e-3
+    np.testing.assert_allclose(friction.slip[friction.sticking, 0], slip[friction.sticking])
+    assert friction.sticking.any()
+
+
+# -- ranks, messages -------------------------------------------------------------------------------
+
+
+@pytest.mark.ranks(2, 3)
+@pytest.mark.parametrize("law", [SoftContact(300.0), Adhesive(3.0), ElasticBond(300.0)])
+@pytest.mark.parametrize("upper", [4, 5])
+def test_laws_on_several_ranks(law, upper):
+    scene = columns("quadrilateral", upper, MPI.COMM_WORLD)
+    soft = isinstance(law, SoftContact)
+    pulled(scene, -0.01 if soft else 0.01)
+    scene.add_pair(law=law)
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    series = 0.01 / (2.0 / YOUNG + 1.0 / 300.0)
+    pressure = -3.0 if isinstance(law, Adhesive) else series if soft else -series
+    np.testing.assert_allclose(problem.results[0].pressure, pressure, rtol=PATCH)
+
+
+@pytest.mark.parametrize(("wrong", "message"), [
+    (lambda: SoftContact(0.0), "SoftContact: the stiffness is 0.0; a positive number"),
+    (lambda: Adhesive(-1.0), "Adhesive: the traction is -1.0; a finite number, at least 0"),
+    (lambda: Coulomb(0.3, elastic_slip=-1.0), "Coulomb: the elastic_slip is -1.0"),
+    (lambda: ContactPair(TAGS, 1, 2, law=Tresca(1.0)), "law is a Tresca; SoftContact"),
+    (lambda: RigidObstacle(TAGS, 1, plane(1, 2), law="soft"), "law is a str; SoftContact"),
+])  # fmt: skip
+def test_wrong_laws_are_named(wrong, message):
+    with pytest.raises(InputError, match=message):
+        wrong()
+
+
+LAWS = [{"law": SoftContact(1.0)}, {"friction": Tresca(1.0, elastic_slip=1.0)}]
+
+
+@pytest.mark.parametrize("data", LAWS)
+def test_what_is_for_undeformed_surfaces_alone(data):
+    scene = columns("quadrilateral")
+    pulled(scene, -0.01)
+    scene.add_pair(**data)
+    with pytest.raises(InputError, match="small strains on undeformed surfaces, but gaps=Deformed"):
+        scene.problem(gaps=Deformed())
+    u = fem.Function(scene.V)
+    F = ufl.replace(scene.a, {scene.u: u})
+    with pytest.raises(InputError, match="small strains on undeformed surfaces"):
+        NonlinearContactProblem(F, u, bcs=scene.bcs, contacts=scene.contacts)
+    problem = scene.problem()
+    problem.solve()
+    with pytest.raises(InputError, match=r"mesh_error\(\) is of hard contact"):
+        problem.mesh_error()
+    with pytest.raises(InputError, match="derivatives are of hard contact"):
+        problem.adjoint(normal_forces={0: 1.0})
+
+
+def test_stiffness_that_vanishes_somewhere():
+    scene = columns("quadrilateral")
+    pulled(scene, -0.01)
+    scene.add_pair(law=SoftContact(lambda x: x[0]), name="layer")
+    with pytest.raises(
+        InputError, match="layer: the stiffness of soft contact is not positive at 1"
+    ):
+        scene.problem()
