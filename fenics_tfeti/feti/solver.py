@@ -191,7 +191,8 @@ class TornSolver:
             constraints, c = build_constraints(system, local.weights)
             check_conditions(system, constraints, c)
             constraints, c = hold_ground(constraints, c, local.unknowns)
-            springs, adhesive = Springs.build(system, constraints), adhesion(system, constraints)
+            springs = Springs.build(system, constraints, local.unit)
+            adhesive = adhesion(system, constraints)
             same_B = known if known and constraints.same_rows(known.constraints) else None
         with phase("coarse problem"):
             if same_B:

@@ -223,7 +223,8 @@ class ContactRows:
         Springs between the surfaces of contact rows: how far a unit of force closes the row where
         it presses, and opens it where it pulls [m/N]. Zero is rigid, infinity in the second column
         lets surfaces come apart: 0 and infinity, the default, are those of contact. The force of a
-        row is that of its node; gaps are counted from ``gap``.
+        row is that of its node; gaps are counted from ``gap``. A spring of less than 1e-12 of the
+        stiffness of a node is none.
     adhesion : (rows,) array, optional
         Force that contact rows without springs can pull with before the surfaces come apart [N]: it
         acts where they are apart, too. 0 by default.

@@ -349,6 +349,20 @@ def test_other_compliances_renew_nothing():
 
 
 @once
+def test_springs_whose_stiffness_is_rounding_are_none():
+    """As of a damage of 1 - 1e-15, beside rows that are hardly damaged."""
+    system = column(3, 2, load=(0.1, 0.0, 1.0))
+    gone = np.arange(system.contacts.size) < 4
+    forces = [
+        TornSolver(with_springs(system, 0.0, np.where(gone, last, 0.1)), Options(rtol=1e-8))
+        for last in (np.inf, 1e15)
+    ]
+    one, other = (solver.solve() for solver in forces)
+    np.testing.assert_array_equal(one.normal_force, other.normal_force)
+    assert other.report.products["cg"] <= 20
+
+
+@once
 @pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
 def test_products_are_those_of_ties(preconditioner):
     """Unless springs are much softer than the nodes that they join."""

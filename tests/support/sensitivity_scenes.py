@@ -248,7 +248,8 @@ def of_contact(sensitive: Sensitive, kind: str, step: float) -> Parameter:
         if kind == "gap":
             gap = crown_gap(sensitive.scene.gdim)
             return replace(contact, initial_gap=lambda X: gap(X) + s * (1.0 + X[0]))
-        ((name, value),) = vars(contact.friction).items()
+        # the bound or the coefficient comes first
+        name, value = next(iter(vars(contact.friction).items()))
         law = replace(contact.friction, **{name: lambda X: value + s * (1.0 + X[0])})
         return replace(contact, friction=law)
 

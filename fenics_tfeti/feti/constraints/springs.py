@@ -16,6 +16,7 @@ import numpy as np
 
 from fenics_tfeti.feti.constraints.rows import Constraints
 from fenics_tfeti.feti.system import TornSystem
+from fenics_tfeti.feti.tolerances import GIVEN, rounding
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
@@ -30,8 +31,12 @@ class Springs:
     sticking: Vector  # (k,): C of sites of friction below their bound
 
     @staticmethod
-    def build(system: TornSystem, constraints: Constraints) -> Springs | None:
-        """Collect those of all ranks; None, on all of them, without any. Collective."""
+    def build(system: TornSystem, constraints: Constraints, unit: float) -> Springs | None:
+        """Collect those of all ranks; None, on all of them, without any. Collective.
+
+        A weight of 1 stands for the stiffness `unit` [N/m]. What is rounding beside that is no
+        spring: 1 - d of a damage d that is nearly 1.
+        """
         given, layout, friction = constraints.contacts, constraints.layout, constraints.friction
         elastic = np.asarray(system.friction.compliance)
         if not any_rank(layout.comm, system.contacts.has_springs.any() or elastic.any()):
@@ -46,7 +51,11 @@ class Springs:
         with np.errstate(divide="ignore"):
             part[rows, 1] = 1.0 / compliance[:, 1]
             pressed, stiffness = layout.sum(part)[constraints.inequality].T
-            return Springs(pressed.copy(), 1.0 / stiffness, sticking)
+            least = rounding(unit, GIVEN)
+            pulled = np.where(stiffness < least, np.inf, 1.0 / stiffness)
+            return Springs(
+                np.minimum(pressed, 1.0 / least), pulled, np.minimum(sticking, 1.0 / least)
+            )
 
     @property
     def pulling(self) -> Mask:
