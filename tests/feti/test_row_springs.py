@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from mpi4py import MPI
+
 import numpy as np
 import pytest
 from friction_problems import horizontal, pushed_block
 from row_springs import WithSprings, random_system, with_friction, with_springs
-from sparse_rows import SECOND, assert_same_on_ranks
+from sparse_rows import SECOND, assert_same_on_ranks, distributed
 from torn import (
     POISSON,
     YOUNG,
@@ -22,7 +24,15 @@ from torn import (
 )
 
 from fenics_tfeti import InputError
-from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolver, TornSystem
+from fenics_tfeti.feti import (
+    ContactRows,
+    Options,
+    Prescribed,
+    TornSolver,
+    TornSystem,
+    load_checkpoint,
+    save_checkpoint,
+)
 from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus, Turn
 from fenics_tfeti.feti.dual.pcpg import pcpg
 from fenics_tfeti.feti.dual.proximal_newton import proximal_newton
@@ -435,6 +445,29 @@ def test_linear_problem_on_the_face(seed):
 @pytest.mark.parametrize(("seed", "method"), [(0, "active_set"), (1, "active_set"), (3, "smalbe")])
 def test_same_as_on_one_rank(seed, method):
     assert_same_on_ranks(random_system(seed), Options(rtol=1e-8, method=method), 1e-6)
+
+
+@pytest.mark.ranks(2, 3)
+def test_adhesion_as_on_one_rank():
+    system = column(3, 2, load=(0.1, 0.0, 1.0))
+    system = with_fields(system, "contacts", adhesion=np.full(system.contacts.size, 0.2))
+    assert_same_on_ranks(system, Options(rtol=1e-8), 1e-6)
+
+
+@pytest.mark.ranks(1, 2)
+def test_checkpoint_of_multipliers_that_pull(shared_folder):
+    """A run that goes on starts where the other has ended."""
+    whole = with_springs(column(3, 1, load=(0.1, 0.0, 1.0)), 0.0, 0.1)
+    system = distributed(whole, MPI.COMM_WORLD)
+    first = TornSolver(system, Options(rtol=1e-6))
+    force = first.solve().normal_force
+    save_checkpoint(shared_folder / "state", system, first.state)
+    state = load_checkpoint(shared_folder / "state", system)
+    second = TornSolver(system, Options(rtol=1e-6), start=state)
+    assert second.reused == ["checkpoint"]
+    solution = second.solve()
+    assert solution.report.products["cg"] <= 1
+    np.testing.assert_allclose(solution.normal_force, force, rtol=1e-4)
 
 
 @pytest.mark.ranks(2, 3)

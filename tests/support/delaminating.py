@@ -19,6 +19,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import ContactPair, ContactProblem, ElasticBond
+from fenics_tfeti.fem.topology import nodes_in
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 Vector = NDArray[np.float64]
@@ -138,7 +139,8 @@ class Beam:
             )
             bcs.append(fem.dirichletbc(moved, tip, V.sub(1)))
         functionspace = getattr(fem, "functionspace", fem.FunctionSpace)
-        self.stiffness = fem.Function(functionspace(beams.mesh, ("Lagrange", 1)))
+        scalar = functionspace(beams.mesh, ("Lagrange", 1))
+        self.stiffness = fem.Function(scalar)
         self.stiffness.x.array[:] = 1e9 * case.E1
         self.problem = ContactProblem(
             a,
@@ -152,11 +154,11 @@ class Beam:
         self.tied = self.problem.report.products["total"]
         self.products = 0
         bond = self.problem.results["bond"]
-        self.area, self.nodes = bond.area, bond.dofs
+        self.area, self.dofs = bond.area, nodes_in(scalar, V)[bond.dofs]
 
     def solve(self, stiffness: Vector) -> tuple[Vector, float]:
         """Return openings at the nodes of the bond and the load, for an opening of 1."""
-        self.stiffness.x.array[self.nodes] = stiffness
+        self.stiffness.x.array[self.dofs] = stiffness
         self.problem.solve()
         report = self.problem.report
         self.products += report.products["total"]
