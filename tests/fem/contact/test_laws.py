@@ -258,7 +258,7 @@ def test_elastic_slip_of_coulombs_law():
     problem.solve()
     result = problem.results[0]
     friction = result.friction
-    np.testing.assert_allclose(friction.bound, 0.5 * result.normal_force, rtol=1e-6)
+    np.testing.assert_allclose(friction.bound, 0.5 * result.nodal_normal_force, rtol=1e-6)
     slip = friction.traction[:, 0] * -1e-3
     np.testing.assert_allclose(friction.slip[friction.sticking, 0], slip[friction.sticking])
     assert friction.sticking.any()
