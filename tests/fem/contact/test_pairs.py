@@ -9,10 +9,12 @@ import pytest
 from matching import match_contacts
 
 import ufl
+from dolfinx import fem
 
 from fenics_tfeti import Along, ContactPair, InputError, Mortar, find_contacts
 from fenics_tfeti.fem.contact.conditions import surface_pairs as pairs_module
 from fenics_tfeti.fem.contact.conditions.checks import check_opposite
+from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
 from fenics_tfeti.fem.contact.search.contact_search import match_parts
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
@@ -108,6 +110,46 @@ def test_pile(cell, degree, weighted):
         assert_alike(conditions, match_contacts(boundary, [pair], prescribed=held)[0])
 
 
+def moved(space):
+    """Return a displacement that bends and parts the bodies."""
+    uh = fem.Function(space)
+    gdim = space.mesh.geometry.dim
+
+    def bend(x):
+        height = x[gdim - 1]
+        return np.stack([0.02 * np.sin(height + k + 2.0 * x[k]) for k in range(gdim)])
+
+    uh.interpolate(bend)
+    return uh
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize(
+    ("cell", "degree"), [("triangle", 1), ("quadrilateral", 2), ("tetrahedron", 1)]
+)
+def test_pile_that_has_moved(cell, degree, weighted):
+    """One pair has normals of its own, which turn with its facets."""
+    space, pairs = pile(cell, degree)
+    up = np.eye(space.mesh.geometry.dim)[-1]
+    upwards = find_normal(match_contacts(MeshBoundary.of(space), pairs[2:3])[0], up)
+    pairs[2] = replace(pairs[2], partners=Mortar(), normal=upwards)
+    weight = 1.0 + ufl.SpatialCoordinate(space.mesh)[0] if weighted else None
+    boundary, uh = MeshBoundary.of(space, weight), moved(space)
+    known = [*zip(pairs, match_contacts(boundary, pairs, prescribed=supports(space)), strict=True)]
+    for one, new in zip(known, deformed_contacts(known, uh), strict=True):
+        (alone,) = deformed_contacts([one], uh)
+        assert_alike(new.conditions, alone.conditions)
+        force = np.arange(1.0, 1.0 + new.conditions.slave.size)
+        tractions = [x.conditions.mean_traction(force) for x in (new, alone)]
+        np.testing.assert_allclose(*tractions, rtol=1e-12)
+
+
+def find_normal(conditions, up):
+    """Return the direction along an axis that points out of a slave."""
+    along = COMM.allreduce(float(np.sum(conditions.normal @ up)))
+    return np.sign(along) * up
+
+
 def test_round_and_flat_surfaces():
     """Normals of the round pair have no part along the axis, those of flat ones no other."""
     space, pairs = rings()
@@ -130,6 +172,8 @@ def test_work_is_done_once_for_all_pairs(monkeypatch):
     found = match_contacts(MeshBoundary.of(space), pairs)
     assert sum(conditions.is_mortar for conditions in found) > 1
     assert len(calls) == 1
+    deformed_contacts([*zip(pairs, found, strict=True)], fem.Function(space))
+    assert len(calls) == 2
 
 
 def test_errors_name_the_first_pair_that_is_wrong():
