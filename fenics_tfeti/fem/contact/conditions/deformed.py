@@ -19,7 +19,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
-from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle, deformed_surface
+from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle
 from fenics_tfeti.fem.contact.conditions.surface_pairs import MortarPairs
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
@@ -126,17 +126,20 @@ def deformed_contacts(
         user_normals = [x for x in (normals[k] for k in members) if x is not None] or None
         for k, new in zip(members, joined.at(boundary, before, user_normals), strict=True):
             found[k] = new.across(axes[k]), np.maximum(-new.gap, 0.0)
-    # what all ranks need the whole of
-    needed = [
-        [] if conditions.is_mortar else [surface.on(boundary) for surface in conditions.surfaces]
-        for _, conditions in contacts
-    ]
-    gathered = iter(gather_surfaces([s for surfaces in needed for s in surfaces]))
+    # pairs of nodes have partners on any rank
+    masters = {
+        k: conditions.master_surface.on(boundary)
+        for k, (_, conditions) in enumerate(contacts)
+        if conditions.master_surface is not None and k not in found
+    }
+    whole = dict(zip(masters, gather_surfaces([*masters.values()]), strict=True))
     u = boundary.nodes.values(displacement)
     measured = []
-    for k, ((contact, conditions), surfaces) in enumerate(zip(contacts, needed, strict=True)):
-        surface, whole = conditions.surface, [next(gathered) for _ in surfaces]
-        new, depth = found.get(k) or _deformed(contact, conditions, *turned[k], whole, boundary)
+    for k, (contact, conditions) in enumerate(contacts):
+        surface = conditions.surface
+        new, depth = found.get(k) or _deformed(
+            contact, conditions, *turned[k], whole.get(k), boundary
+        )
         moved = np.sum(new.relative(u) * new.normal, axis=1)
         distance, depth, gap = map(surface.without_rounding, (new.gap, depth, new.gap + moved))
         total = replace(new, gap=gap, made_on=boundary)
@@ -187,44 +190,44 @@ def _deformed(
     conditions: ContactConditions,
     user_normal: Vector | None,
     axes: Vector | None,
-    surfaces: Sequence[SurfaceFacets],
+    master: SurfaceFacets | None,
     boundary: MeshBoundary,
 ) -> tuple[ContactConditions, Vector]:
     """Return new conditions node by node, and depths of penetration there. Collective.
 
-    They are made with the whole deformed surfaces. The gaps are distances of these.
+    The gaps are distances of the deformed surfaces, from all of the master's.
     """
-    if isinstance(contact, RigidObstacle):
-        surface = deformed_surface(conditions.surface, surfaces[0], boundary)
-        found = conditions_at_obstacle(surface, contact.obstacle)
-        parts = vars(found) | {"coverage": np.ones_like(found.gap)}
-        new = replace(conditions, **parts)
-        return new, np.maximum(-new.gap, 0.0)
-    if user_normal is not None:
-        surface = conditions.surface.on(boundary, user_normal)
+    surface = conditions.surface
+    if user_normal is None:
+        surface = surface.on(boundary).with_present_normals()
     else:
-        surface = deformed_surface(conditions.surface, surfaces[0], boundary)
+        surface = surface.on(boundary, user_normal)
+    if master is None:
+        assert isinstance(contact, RigidObstacle)
+        found = conditions_at_obstacle(surface, contact.obstacle)
+        new = replace(conditions, **vars(found) | {"coverage": np.ones_like(found.gap)})
+        return new, np.maximum(-new.gap, 0.0)
+    if user_normal is None:
         surface = surface.with_normals_of(conditions.covered)
-        if axes is not None:
-            surface = replace(surface, normal=without_axial_tilt(surface.normal, axes))
-    return _deformed_pairs(conditions, surface, *surfaces)
+    if axes is not None:
+        surface = replace(surface, normal=without_axial_tilt(surface.normal, axes))
+    return _deformed_pairs(conditions, surface, master)
 
 
 def _deformed_pairs(
-    conditions: ContactConditions, surface: Surface, slave: SurfaceFacets, master: SurfaceFacets
+    conditions: ContactConditions, surface: Surface, master: SurfaceFacets
 ) -> tuple[ContactConditions, Vector]:
     """Return new pairs of nodes and depths, with the slave's deformed surface. Collective."""
-    rows = np.searchsorted(slave.nodes, conditions.slave)
-    partner = np.searchsorted(master.nodes, conditions.master)
-    normal = surface.normal[conditions.on_surface]
-    distance, signed = FacetedSurface.of(master.facets).gap_along(slave.points[rows], normal)
+    rows, partner = conditions.on_surface, np.searchsorted(master.nodes, conditions.master)
+    x, normal = surface.points[rows], surface.normal[rows]
+    distance, signed = FacetedSurface.of(master.facets).gap_along(x, normal)
     # a partner is kept unless its distance from where the normal meets the master is more than 1.5
     # times that of the nearest node: otherwise the passes could alternate between two nodes
-    foot = slave.points[rows] + distance[:, None] * normal
+    foot = x + distance[:, None] * normal
     closest, nearest = cKDTree(master.points).query(foot)
     current = np.linalg.norm(master.points[partner] - foot, axis=1)
     partner = np.where(current > 1.5 * closest, nearest, partner)
     terms = Terms.of_nodes(conditions.slave, master.nodes[partner])
-    area = surface.areas(conditions.covered)[conditions.on_surface]
+    area = surface.areas(conditions.covered)[rows]
     new = replace(conditions, terms=terms, normal=normal, gap=distance, area=area)
     return new, np.maximum(-signed, 0.0)

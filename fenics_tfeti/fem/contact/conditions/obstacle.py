@@ -25,7 +25,6 @@ from fenics_tfeti.fem.contact.descriptions.shapes import (
     Sphere,
 )
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
-from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
 from fenics_tfeti.fem.geometry.vectors import angles_between, tangential_part, unit
 from fenics_tfeti.fem.messages import first_wrong
@@ -70,7 +69,7 @@ def match_obstacle(
     )
     surface = slave
     if deformed is not None:
-        surface = deformed_surface(slave, slave.on(deformed).gathered(), deformed)
+        surface = slave.on(deformed).with_present_normals()
     found = conditions_at_obstacle(surface, contact.obstacle)
     if earlier is None:
         _warn_of_normals(slave, contact.obstacle, deformed or boundary)
@@ -109,12 +108,6 @@ def conditions_at_obstacle(surface: Surface, obstacle: Obstacle) -> ObstacleCond
     at_owners = nodes.reduce_at_owners(facets.nodes, nodal, np.maximum)
     gap = terms.means(nodes.values_at(at_owners, terms.nodes)[:, None])[:, 0]
     return ObstacleConditions(terms, -outward, gap, terms.scale, covered)
-
-
-def deformed_surface(slave: Surface, whole: SurfaceFacets, boundary: MeshBoundary) -> Surface:
-    """Return a surface on a deformed boundary, where all ranks' facets are these. Collective."""
-    whole.check_not_folded(slave.names[0])
-    return slave.on(boundary, whole.normal[np.searchsorted(whole.nodes, slave.nodes)])
 
 
 def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary) -> None:

@@ -224,7 +224,7 @@ class Surface:
         return np.sum(self.sum_of_corners(integrals) * self.normal, axis=1)
 
     def with_present_normals(self) -> Surface:
-        """Return it with the normals of all facets around its nodes where these are. Collective."""
+        """Return it with normals and areas of all facets around its nodes there. Collective."""
         x = self.boundary.coordinates[self.facet_nodes, : self.normal.shape[1]]
         integrals = corner_normals(x)
         sizes = np.linalg.norm(integrals, axis=2, keepdims=True)
@@ -232,7 +232,7 @@ class Surface:
         length = np.linalg.norm(sums[:, :-1], axis=1)
         if bad := self.first_wrong(length <= VANISHING_NORMAL * sums[:, -1]):
             raise folded(bad.name, bad.number, bad.place)
-        return replace(self, normal=sums[:, :-1] / length[:, None])
+        return replace(self, normal=sums[:, :-1] / length[:, None], area=length)
 
     def with_normals_of(self, covered: Vector | Mask) -> Surface:
         """Return it with normals of the covered shares (f,) of facets, where a node has some.
