@@ -66,6 +66,8 @@ class NodeMap:
     def to_global(self, local: Array) -> Numbers:
         """Return the global numbers of local nodes, in an array of the same shape."""
         number: Numbers = local.astype(np.int64)
+        if not self._ghosts.size:
+            return number + self.first
         is_ghost = number >= self.owned
         number[is_ghost] = self._ghosts[number[is_ghost] - self.owned]
         number[~is_ghost] += self.first
@@ -74,11 +76,17 @@ class NodeMap:
     def to_local(self, nodes: Numbers) -> Numbers:
         """Return the local numbers of global nodes (k,) on this rank."""
         local: Numbers = nodes - self.first
+        if not self._ghosts.size:
+            return local
         is_ghost = (local < 0) | (local >= self.owned)
-        order = np.argsort(self._ghosts)
+        order = self._order_of_ghosts
         position = np.searchsorted(self._ghosts, nodes[is_ghost], sorter=order)
         local[is_ghost] = self.owned + order[position]
         return local
+
+    @cached_property
+    def _order_of_ghosts(self) -> Numbers:
+        return np.argsort(self._ghosts)
 
     @cached_property
     def _ghosts(self) -> Numbers:
