@@ -328,6 +328,8 @@ class ContactRows:
     @staticmethod
     def concatenate(parts: Sequence[ContactRows]) -> ContactRows:
         """Return the rows of all parts, one part after the other."""
+        if len(parts) == 1:
+            return parts[0]
         terms = np.concatenate([np.diff(part.offsets) for part in parts])
         return ContactRows(
             np.append(0, np.cumsum(terms)),

@@ -253,6 +253,9 @@ class ContactSet:
 
         Collective.
         """
+        contacts = [found.contact for found in self.contacts]
+        if all(c.friction is None and getattr(c, "law", None) is None for c in contacts):
+            return self
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         boundary = self.boundary if uh is None else self.boundary.deformed(uh)
         contacts = [

@@ -111,28 +111,29 @@ def _integrate_cells(
     )
     slave_functions, master_functions = corner_functions(on_slave, t), shape_functions(on_master, w)
     cell_facet = pair[cell_pair]
+    of_facet, pairs_of_facet = (_first(index, facet.size) for index in (cell_facet, pair))
     weights = cells.area[:, None, None] * factors[:, None]
     weighted = slave_functions * weights
-    ones = share = _sum(weighted.sum(axis=1), cell_facet, facet.size)
+    ones = share = _sum(weighted.sum(axis=1), of_facet)
     if weight is not None:
         factor = np.einsum("cqi,ci->cq", slave_functions, weight[slave_facet[cell_pair]])
         weighted *= factor[:, :, None]
-        ones = _sum(weighted.sum(axis=1), cell_facet, facet.size)
+        ones = _sum(weighted.sum(axis=1), of_facet)
     rows = weighted.swapaxes(1, 2)
-    mass = trace = _sum(rows @ slave_functions, cell_facet, facet.size)
+    mass = trace = _sum(rows @ slave_functions, of_facet)
     if slave.per_facet > 1:
-        trace = _sum(rows @ shape_functions(on_slave, t), cell_facet, facet.size)
-    coupling = _sum(rows @ master_functions, cell_pair, cells.slave.size)
+        trace = _sum(rows @ shape_functions(on_slave, t), of_facet)
+    coupling = _sum(rows @ master_functions, _first(cell_pair, cells.slave.size))
     # relative to a plane's origin: rounding is that of the gap, not that of the coordinates
     origin = planes.origin[facet * slave.per_facet, None]
     offset = master.points.take(master.nodes[master_facet], axis=0) - origin[pair]
-    gap = _sum(np.matmul(coupling, offset), pair, facet.size)
+    gap = _sum(np.matmul(coupling, offset), pairs_of_facet)
     gap -= np.matmul(trace, slave.points.take(slave.nodes[facet], axis=0) - origin)
     corners = reference_coordinates(cells.on_slave[cell_pair], cells.corners)
     corners = slave.in_facet(cells.slave[cell_pair], corners)
     return FacetIntegrals(
         facet,
-        _sum(cells.pair_area, pair, facet.size),
+        _sum(cells.pair_area, pairs_of_facet),
         share,
         ones,
         mass,
@@ -171,11 +172,16 @@ def _distorted(corners: Vector) -> bool:
     return bool(np.abs(skew).max(initial=0.0) > RELATIVE_ROUNDING * size)
 
 
-def _sum(values: Vector, index: Numbers, size: int) -> Vector:
-    """Sum rows by the ascending number that each belongs to; every number has a row."""
-    if not size:
+def _first(index: Numbers, size: int) -> Numbers:
+    """Return the first row of each number (size,); the numbers of rows ascend, each has one."""
+    return np.searchsorted(index, np.arange(size))
+
+
+def _sum(values: Vector, first: Numbers) -> Vector:
+    """Sum rows from each first one up to the next."""
+    if not first.size:
         return np.zeros((0, *values.shape[1:]))
-    first = np.searchsorted(index, np.arange(size))
     # along the last axis, which is contiguous; the result in the order of rows
-    total = np.add.reduceat(np.moveaxis(values, 0, -1), first, axis=-1)
-    return np.ascontiguousarray(np.moveaxis(total, -1, 0))
+    last = values.ndim - 1
+    total = np.add.reduceat(values.transpose(*range(1, last + 1), 0), first, axis=-1)
+    return np.ascontiguousarray(total.transpose(last, *range(last)))

@@ -320,7 +320,7 @@ def contact_rows(
         p.terms.rows(p.normal, p.gap, k, p.area)
         for p, k in zip(all_conditions, contacts, strict=True)
     ]
-    return ContactRows.concatenate([ContactRows.none(gdim), *rows])
+    return ContactRows.concatenate(rows or [ContactRows.none(gdim)])
 
 
 def row_values(

@@ -25,6 +25,7 @@ from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets, owned_fa
 from fenics_tfeti.fem.contact.surfaces.surface_facets import SurfaceFacets, folded
 from fenics_tfeti.fem.geometry.facets import Facets
 from fenics_tfeti.fem.geometry.normals import corner_normals
+from fenics_tfeti.fem.geometry.reference_cells import facet_type
 from fenics_tfeti.fem.geometry.vectors import edge_lengths
 from fenics_tfeti.fem.messages import WrongPoints, coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
@@ -72,7 +73,8 @@ class MeshBoundary:
     def deformed(self, displacement: Function) -> MeshBoundary:
         """Return the boundary with displaced nodes; ghosts of the displacement are up to date."""
         moves = self.nodes.values(displacement)
-        x = self.coordinates + np.pad(moves, ((0, 0), (0, 3 - moves.shape[1])))
+        x = self.coordinates.copy()
+        x[:, : moves.shape[1]] += moves
         return replace(self, coordinates=x, displacement=displacement)
 
     @property
@@ -161,7 +163,8 @@ class Surface:
     @cached_property
     def vertices(self) -> Indices:
         """Local numbers of the nodes (f, v) at the facets' corners, one after the other."""
-        return self.facet_nodes[:, : cell_type(self.boundary.space.mesh).facet.vertices]
+        facet, _ = facet_type(self.normal.shape[1] - 1, self.facet_nodes.shape[1])
+        return self.facet_nodes[:, : facet.vertices]
 
     @cached_property
     def corners(self) -> Vector:
@@ -499,6 +502,8 @@ def split(contact: Numbers, values: Array | None, count: int) -> list[Any]:
     """Return the values (k, ...) of each of the contacts (k,), which ascend."""
     if values is None:
         return [None] * count
+    if count == 1:
+        return [values]
     return np.split(values, np.searchsorted(contact, np.arange(1, count)))
 
 
