@@ -49,6 +49,9 @@ BARELY_SUPPORTED, HARDLY_SUPPORTED, SLIVER_COVERED = 0.1, 0.05, 1e-3
 # is what the border of a master leaves of an edge that goes through a node.
 BARELY_COVERED = 0.4
 
+# entries, zeros as well, of matrices that are summed faster as dense ones than by SciPy
+_SMALL = 100_000
+
 
 @dataclass(frozen=True)
 class Entries:
@@ -199,10 +202,19 @@ def _summed(values: Vector, rows: Numbers, columns: Numbers, shape: tuple[int, i
 
     Without it, a node of flat surfaces with matching meshes is coupled with the one opposite alone.
     """
-    key = (rows[:, :, None] * shape[1] + columns[:, None, :]).ravel()
-    place, entry = np.unique(key, return_inverse=True)
-    value = np.bincount(entry, values.ravel(), place.size).astype(np.float64, copy=False)
-    row, column = np.divmod(place, shape[1])
+    if shape[0] * shape[1] <= _SMALL:
+        place = (rows[:, :, None] * shape[1] + columns[:, None, :]).ravel()
+        dense = np.bincount(place, values.ravel(), shape[0] * shape[1])
+        row, column = np.divmod(np.flatnonzero(dense), shape[1])
+        value = dense[dense != 0.0]
+    else:
+        # the type of SciPy's indices, of which there are many more than rows and columns
+        at = (
+            np.repeat(rows.astype(np.int32), columns.shape[1]),
+            np.tile(columns.astype(np.int32), rows.shape[1]).ravel(),
+        )
+        summed = sp.coo_matrix((values.ravel(), at), shape=shape).tocsr().tocoo()
+        row, column, value = summed.row, summed.col, summed.data
     first = np.flatnonzero(np.diff(row, prepend=-1))
     size = np.abs(value)
     if first.size:
