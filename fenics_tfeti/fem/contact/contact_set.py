@@ -253,8 +253,8 @@ class ContactSet:
 
         Collective.
         """
-        contacts = [found.contact for found in self.contacts]
-        if all(c.friction is None and getattr(c, "law", None) is None for c in contacts):
+        given = [vars(found.contact) for found in self.contacts]
+        if all(data["friction"] is None and data.get("law") is None for data in given):
             return self
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         boundary = self.boundary if uh is None else self.boundary.deformed(uh)
