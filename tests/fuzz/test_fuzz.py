@@ -51,6 +51,7 @@ NEEDS = {
     ("feti", 50040): "a limit on outer iterations for each step of Coulomb's law",
     ("mesh", 362): "fixed directions of forces with slips out of all proportion",
     ("mesh", 2170): "passes until they fail, not until an estimate of rounding",
+    ("feti", 30066): "a motion that closes a far gap which friction keeps from closing, undone",
     ("mesh", 41020): "slips of rows that depend on each other, small beside the motion of the body",
     ("mesh", 90058): "curvatures of slips in passes that start from multipliers",
     ("mesh", 92123): "no certificate where friction at its bounds is out of balance",

@@ -26,6 +26,7 @@ from fenics_tfeti.feti.coarse.prescribed_motion import (
     without_motion,
 )
 from fenics_tfeti.feti.coarse.projector import Projector
+from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.springs import pushing_rows
 from fenics_tfeti.feti.dual.active_set import primal_dual_active_set
@@ -74,24 +75,51 @@ def iterate_until_certified(
     bounds follow the forces.
 
     Rigid motions that supports prescribe, and those that close the contacts which press at the
-    start, are taken out, and put back in the end. Gaps that are far from closing are shortened: all
+    start, are taken out, and put back in the end; of the latter once more without them where the
+    solution has gone back. Gaps that are far from closing are shortened: all
     contact rows share the projector, so a gap out of all proportion would swamp the others by
     rounding. As long as no row with a shortened gap closes, the solution is the same; if one does,
     the gaps are lengthened. Without `start` the first multipliers vanish.
     """
-    setup, data = context.setup, context.data
-    rows, comm = setup.constraints.inequality, setup.constraints.layout.comm
+    data, coarse_space = context.data, context.setup.projector.coarse_space
+    rows = context.setup.constraints.inequality
     with context.timer.phase("iterations"):
-        coarse_space = setup.projector.coarse_space
         motion = prescribed_motion(coarse_space, data.c)
         removed = coarse_space.prolong(motion)
-        c = data.c - removed
+        data = replace(data, c=data.c - removed, motion=motion, removed=removed)
+        closing = np.zeros_like(motion)
         if context.options.method != "smalbe":
             # whose start has no regard to gaps
-            closing = closing_motion(coarse_space, c, data.feasible[rows] > 0.0)
-            motion, c = motion + closing, without_motion(coarse_space, c, closing)
-        data = replace(data, c=c, motion=motion, removed=removed)
-        feasible = FeasibleState.of(setup, data)
+            closing = closing_motion(coarse_space, data.c, data.feasible[rows] > 0.0)
+    if closing.any():
+        closed = replace(
+            data, c=without_motion(coarse_space, data.c, closing), motion=motion + closing
+        )
+        outcome = _with_shortened_gaps(context, closed, start, bounds)
+        if not _is_undone(coarse_space, closing, outcome.candidate.recovered.displacement):
+            return outcome
+        start = outcome.start
+    return _with_shortened_gaps(context, data, start, bounds)
+
+
+def _is_undone(coarse_space: CoarseSpace, closing: Vector, displacement: Vector) -> bool:
+    """Tell whether bodies have gone back where they were before a motion. Collective.
+
+    The contacts that pressed at the start do not in the end, and what rounding has left of the
+    motion would be all of the displacement.
+    """
+    moved = np.abs(coarse_space.rigid_motion(closing))
+    sizes = [largest_of_ranks(coarse_space.comm, np.abs(x)) for x in (moved, displacement)]
+    return sizes[0] > FAR * sizes[1]
+
+
+def _with_shortened_gaps(
+    context: SolveContext, data: ContactData, start: Iterate | None, bounds: Bounds | None
+) -> Outcome:
+    """Solve with gaps that are far from closing shortened; put motions back. Collective."""
+    rows, comm = context.setup.constraints.inequality, context.setup.constraints.layout.comm
+    with context.timer.phase("iterations"):
+        feasible = FeasibleState.of(context.setup, data)
     longest = FAR * feasible.largest_jump
     while True:
         shortened = (data.c[rows] > longest) & (longest > 0.0)
@@ -104,7 +132,7 @@ def iterate_until_certified(
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & shortened).any())
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
-            candidate = _moved(outcome.candidate, data, motion)
+            candidate = _moved(outcome.candidate, data)
             return replace(outcome, candidate=candidate)
         longest, start = FAR * longest, outcome.start
 
@@ -116,12 +144,12 @@ def dual_problem(context: SolveContext) -> DualProblem:
     return _Loop.begin(context, shortened, feasible).problem(LANCZOS_STEPS)
 
 
-def _moved(candidate: Candidate, data: ContactData, motion: Vector) -> Candidate:
-    """Return a candidate with rigid motions (coarse,) added to its displacements. Collective."""
-    if not motion.any():
+def _moved(candidate: Candidate, data: ContactData) -> Candidate:
+    """Return a candidate with the motions taken out added to its displacements. Collective."""
+    if data.motion is None or not data.motion.any():
         return candidate
     recovered, coarse_space = candidate.recovered, candidate.projector.coarse_space
-    comm, motion = coarse_space.comm, coarse_space.rigid_motion(motion)
+    comm, motion = coarse_space.comm, coarse_space.rigid_motion(data.motion)
     moved = replace(
         recovered, torn=recovered.torn + motion, displacement=recovered.displacement + motion
     )
