@@ -2,6 +2,11 @@
 
 The rows of G are those of a face: the equality rows, some contact and tangential rows, and the
 combinations of rows across forces that turn. For the dual problem they are all rows.
+
+Springs that are much softer than nodes would be opened out of all proportion by forces that remove
+rigid motions. As far as other rows resist these, they are left to them: with the rows h of G_h and
+the soft ones s, P r = r - G'(G_h G_h')^{-1} G_h r on residuals and P'z, which changes z_h alone, on
+directions. Both have G P'z = o.
 """
 
 from __future__ import annotations
@@ -18,7 +23,8 @@ from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.dual_layout import seeded_vector
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.tolerances import FEW, ZERO, rounding
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.parallel import any_rank
+from fenics_tfeti.typing import Mask, Vector
 
 # error of one application of P up to which it is accurate, and limit on the applications
 _ACCURATE, _MOST_PASSES = 1e-11, 4
@@ -30,6 +36,8 @@ class Projector:
 
     coarse_space: CoarseSpace
     face: Face
+    held: Face  # without the soft springs
+    soft: Mask | None  # (m,): the rows of soft springs; None, on all ranks, without any
     free: sp.csr_matrix  # (coarse, k): orthonormal kernel of GG', motions these rows do not resist
     free_bodies: sp.csr_matrix  # (modes * bodies, k): the same, see `BodyMotions`
     gram: GramInverse  # (GG')^+
@@ -38,18 +46,19 @@ class Projector:
     @staticmethod
     def build(coarse_space: CoarseSpace, face: Face) -> Projector:
         """Factor GG' of the rows of a face. Collective."""
-        known = coarse_space.faces.find(face)
+        held, soft = _without_soft_springs(coarse_space, face)
+        known = coarse_space.faces.find(held)
         if known is not None:
-            return Projector(coarse_space, face, **known)
-        resistance = coarse_space.resistance(face)
+            return Projector(coarse_space, face, held, soft, **known)
+        resistance = coarse_space.resistance(held)
         z = resistance.free
         free, single = _orthonormal_motions(coarse_space, z)
-        gram = GramInverse.build(coarse_space, face, free, single, resistance.resisted)
-        projector = Projector(coarse_space, face, free, z, gram)
+        gram = GramInverse.build(coarse_space, held, free, single, resistance.resisted)
+        projector = Projector(coarse_space, face, held, soft, free, z, gram)
         projector = replace(projector, passes=projector._passes())
         # without the coarse space, which owns the cache: no cycle keeps the factors in memory
         kept = {k: getattr(projector, k) for k in ("free", "free_bodies", "gram", "passes")}
-        coarse_space.faces.keep(face, kept)
+        coarse_space.faces.keep(held, kept)
         return projector
 
     def _passes(self) -> int:
@@ -61,7 +70,7 @@ class Projector:
         by the same factor.
         """
         layout = self.coarse_space.constraints.layout
-        x = self.face.part(seeded_vector(layout.numbers))
+        x = self.held.part(seeded_vector(layout.numbers))
         left = self.Q(self.P(x))
         squares = layout.space.dots((x, x), (left, left))
         error = float(np.sqrt(squares[1] / (squares[0] or 1.0)))
@@ -100,7 +109,7 @@ class Projector:
         return self._repeated(self._coefficients, x, self.coarse_space.prolong)
 
     def _coefficients(self, x: Vector) -> Vector:
-        x = self.face.part(x)
+        x = self.held.part(x)
         weak: Vector = self.gram.motions @ self.gram.weak_part(x)
         solution = self.gram.factor.solve(self.coarse_space.restrict(x)) + weak
         return self.without_free_motions(solution)
@@ -115,7 +124,7 @@ class Projector:
     def _least_norm(self, coarse: Vector) -> Vector:
         coarse = self.without_free_motions(coarse)
         weak = self.gram.rows @ (self.gram.motions.T @ coarse)
-        return self.face.part(self.coarse_space.prolong(self.gram.factor.solve(coarse)) + weak)
+        return self.held.part(self.coarse_space.prolong(self.gram.factor.solve(coarse)) + weak)
 
     def _repeated(
         self,
@@ -142,13 +151,17 @@ class Projector:
     # -- sums of the ranks' parts, with one exchange of multipliers or none ------------------------
 
     def P_of_sum(self, part: Vector, x: Vector) -> tuple[Vector, float]:
-        """Return Py on the rows and x'y, where y is the sum of the ranks' parts; one exchange."""
+        """Return P'y on the rows and x'y, where y is the sum of the ranks' parts; one exchange."""
         motion, xy = self._own_motion(part, x)
-        return self._refined(self._sum(self.face.part(part - motion))), xy
+        held = self._refined(self._sum(self.held.part(part - motion)))
+        if self.soft is None:
+            return held, xy
+        soft = self._sum(np.where(self.soft, part, 0.0))
+        return held + soft - self.least_norm(self.coarse_space.restrict(soft)), xy
 
     def part_of_P(self, part: Vector) -> Vector:
         """Return this rank's part of Py on the rows, where y is the sum of the ranks' parts."""
-        rest = self.face.part(part - self._own_motion(part)[0])
+        rest = self.held.part(part - self._own_motion(part)[0])
         if self.passes == 1:
             return rest
         return self.coarse_space.constraints.layout.owned_part(self._refined(self._sum(rest)))
@@ -166,11 +179,11 @@ class Projector:
         return self.coarse_space.constraints.layout.owned_part(Qx), Qx
 
     def _part_of_Q(self, x: Vector) -> tuple[Vector, Vector]:
-        coarse_space, x = self.coarse_space, self.face.part(x)
+        coarse_space, x = self.coarse_space, self.held.part(x)
         own, others = self.gram.factor.solve_own(coarse_space.restrict_own(x))
-        part = self.face.part(coarse_space.prolong_own(own))
-        weak = self.face.part(self.gram.rows @ self.gram.weak_part(x))
-        Qx = part + self.face.part(coarse_space.others_transposed @ others) + weak
+        part = self.held.part(coarse_space.prolong_own(own))
+        weak = self.held.part(self.gram.rows @ self.gram.weak_part(x))
+        Qx = part + self.held.part(coarse_space.others_transposed @ others) + weak
         return part + coarse_space.constraints.layout.owned_part(weak), Qx
 
     def remove_rigid_motion(self, part: Vector, x: Vector) -> tuple[Vector, float]:
@@ -191,7 +204,7 @@ class Projector:
         layout = self.coarse_space.constraints.layout
         for _ in range(1, self.passes):
             motion = self._own_motion(layout.owned_part(y), resisted=off_the_rows)[0]
-            y = y - self._sum(motion if off_the_rows else self.face.part(motion))
+            y = y - self._sum(motion if off_the_rows else self.held.part(motion))
         return y
 
     def _own_motion(
@@ -199,7 +212,7 @@ class Projector:
     ) -> tuple[Vector, float]:
         """Return what this rank's subdomains add to G'(GG')^+ Gy, and x'y (zero without x)."""
         coarse_space, layout = self.coarse_space, self.coarse_space.constraints.layout
-        chosen, weak = self.face.part(part), self.gram.motions.shape[1]
+        chosen, weak = self.held.part(part), self.gram.motions.shape[1]
         # all holders of a component have the same of x, so each may multiply its part of y
         numbers = np.append(self.gram.rows.T @ chosen, [] if x is None else x @ part)
         own, sums = self.gram.factor.solve_sum(
@@ -213,6 +226,20 @@ class Projector:
 
     def _sum(self, part: Vector) -> Vector:
         return self.coarse_space.constraints.layout.sum(part)
+
+
+def _without_soft_springs(coarse_space: CoarseSpace, face: Face) -> tuple[Face, Mask | None]:
+    """Return a face without its soft springs, and their rows (m,). Collective.
+
+    It is the face itself, on all ranks, where it has none, or where they alone resist a motion.
+    """
+    soft = face.soft
+    if soft is None or not any_rank(coarse_space.comm, soft):
+        return face, None
+    held = replace(face, rows=face.rows & ~soft)
+    resistances = (coarse_space.resistance(f) for f in (held, face))
+    less, all_of_it = (resistance.free.shape[1] for resistance in resistances)
+    return (face, None) if less > all_of_it else (held, soft)
 
 
 def _orthonormal_motions(coarse_space: CoarseSpace, z: sp.csr_matrix) -> tuple[sp.csr_matrix, int]:

@@ -222,6 +222,14 @@ class Face:
         springs = self.spring_compliance
         return compliance if springs is None else compliance + springs
 
+    @property
+    def soft(self) -> Mask | None:
+        """The rows (m,) of springs that are too soft to hold bodies; None without springs."""
+        compliance = self.spring_compliance
+        if self.springs is None or compliance is None:
+            return None
+        return self.rows & (compliance > self.springs.soft)
+
     def closed_by_springs(self, multipliers: Vector) -> Vector | float:
         """Return what forces (m,) close springs by."""
         springs = self.spring_compliance

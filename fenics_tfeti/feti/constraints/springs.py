@@ -21,6 +21,10 @@ from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.qp import balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
+# compliance, relative to that of a node, from which on springs have no part in removing rigid
+# motions
+_SOFT = 10.0
+
 
 @dataclass(frozen=True)
 class Springs:
@@ -29,6 +33,7 @@ class Springs:
     pressed: Vector  # (i,): C where l > 0; zero is rigid
     pulled: Vector  # (i,): C where l < 0; infinite where surfaces come apart
     sticking: Vector  # (k,): C of sites of friction below their bound
+    soft: float  # C from which on a spring holds no body [m/N]
 
     @staticmethod
     def build(system: TornSystem, constraints: Constraints, unit: float) -> Springs | None:
@@ -53,8 +58,9 @@ class Springs:
             pressed, stiffness = layout.sum(part)[constraints.inequality].T
             least = rounding(unit, GIVEN)
             pulled = np.where(stiffness < least, np.inf, 1.0 / stiffness)
+            most = 1.0 / least
             return Springs(
-                np.minimum(pressed, 1.0 / least), pulled, np.minimum(sticking, 1.0 / least)
+                np.minimum(pressed, most), pulled, np.minimum(sticking, most), _SOFT / unit
             )
 
     @property
@@ -90,9 +96,13 @@ class Springs:
         np.divide((closing - of_force * forces) ** 2, 2.0 * of_force, out=lack, where=soft)
         return energy, np.maximum(lack, 0.0)
 
+    def elastic(self, forces: Vector) -> Vector:
+        """Return the elastic slips of forces of sites (k, gdim - 1)."""
+        return self.sticking[:, None] * forces
+
     def plastic(self, slips: Vector, forces: Vector) -> Vector:
         """Return slips without the elastic ones, all of sites (k, gdim - 1)."""
-        return slips - self.sticking[:, None] * forces
+        return slips - self.elastic(forces)
 
     def site_energies(self, forces: Vector, slips: Vector, radius: Vector) -> tuple[Vector, Vector]:
         """Return the energies of the sites (k,), and what forces and slips lack to the law.

@@ -256,6 +256,9 @@ def first_iterate(
     # from another face, with a preconditioned step by the residual there: no product of its own
     gaps = start.gradient + operators.face.closed_by_springs(l)
     alpha, r = start.step_length, operators.projector.P(-operators.face.part(gaps))
+    if operators.projector.soft is not None:
+        part = problem.constraints.layout.owned_part(-gaps)
+        r = operators.face.part(operators.projector.remove_rigid_motion(part, r)[0])
     z, rz = _precondition(operators, r, products)
     iterate = at(l + alpha * (z / problem.norm if rz is None else z), (alpha,))
     # which is much too long where contact rows have joined at which stiff parts end

@@ -207,13 +207,18 @@ class Certifier:
         self, slips: Vector, recovered: Recovered, multipliers: Vector, springs: Springs
     ) -> tuple[Vector, Vector]:
         """Return the energies of slips of sites (k,), and what they lack to the law. Collective."""
-        friction, C = self.setup.constraints.friction, springs.sticking[:, None]
-        forces = friction.at_sites(multipliers)
-        size = largest_of_ranks(self._comm, np.abs(recovered.displacement))
-        differ = np.abs(slips - C * forces) > rounding(size, MANY)
-        elastic = recovered.face.sticking & ~differ.any(axis=1) & (springs.sticking > 0.0)
-        slips = np.where(elastic[:, None], C * forces, slips)
+        forces = self.setup.constraints.friction.at_sites(multipliers)
+        slips = self._without_rounding(slips, recovered, springs.elastic(forces))
         return springs.site_energies(forces, slips, self.data.radius)
+
+    def _without_rounding(self, slips: Vector, recovered: Recovered, elastic: Vector) -> Vector:
+        """Return slips of sites that stick as elastic ones where they differ by rounding.
+
+        All are (k, gdim - 1). Collective.
+        """
+        size = largest_of_ranks(self._comm, np.abs(recovered.displacement))
+        same = (np.abs(slips - elastic) <= rounding(size, MANY)).all(axis=1)
+        return np.where((recovered.face.sticking & same)[:, None], elastic, slips)
 
     def _spring_states(
         self, recovered: Recovered, multipliers: Vector, springs: Springs
@@ -326,9 +331,10 @@ class Certifier:
         limit, pushing = np.zeros(rows.size), np.ones(rows.size, dtype=bool)
         if self.data.springs is not None:
             # of springs the distance from what their force closes them by
-            by_springs = self.data.springs.of(multipliers[rows]) * multipliers[rows]
+            forces, closing = self._spring_states(recovered, multipliers, self.data.springs)
+            by_springs = self.data.springs.of(forces) * forces
             limit = np.where(by_springs < 0.0, -by_springs, 0.0)
-            distance, pushing = distance - by_springs, ~self.data.springs.pulling
+            distance, pushing = closing - by_springs, ~self.data.springs.pulling
             scale = np.maximum(scale, np.abs(by_springs) / contacts.scale)
         distance, limit = (
             x / contacts.scale / np.where(scale > 0.0, scale, np.inf) for x in (distance, limit)
@@ -351,8 +357,8 @@ class Certifier:
         slip = friction.at_sites(recovered.jumps)
         forces = friction.at_sites(multipliers)
         if self.data.springs is not None:
-            elastic = self.data.springs.sticking[:, None] * forces
-            slip = slip - elastic
+            elastic = self.data.springs.elastic(forces)
+            slip = self._without_rounding(slip, recovered, elastic) - elastic
             scale = np.maximum(scale, np.linalg.norm(elastic, axis=1) / friction.scale)
         slip = slip / friction.scale[:, None]
         slip /= np.where(scale > 0.0, scale, np.inf)[:, None]
