@@ -113,7 +113,7 @@ def obstacle_forces(scene, problem):
     gdim, force, moment = scene.mesh.geometry.dim, 0.0, 0.0
     for contact, result in zip(problem.contacts, problem.results, strict=True):
         if hasattr(contact, "obstacle"):
-            nodal = -result.normal_force[:, None] * result.normal
+            nodal = -result.nodal_normal_force[:, None] * result.normal
             lever = np.cross(result.coordinates, np.pad(nodal, ((0, 0), (0, 3 - gdim))))
             force = force + COMM.allreduce(nodal.sum(axis=0))
             moment = moment + COMM.allreduce(lever.sum(axis=0))
