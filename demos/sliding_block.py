@@ -90,7 +90,7 @@ problem = ContactProblem(a, L, bcs=bcs, contacts=[contact], gaps=exact)
 
 # For comparison, a problem whose only geometry pass gives the linearised solution.
 
-once = {"geometry": Deformed(max_passes=1), "options": {"error_if_not_converged": False}}
+once = {"gaps": Deformed(max_passes=1), "options": {"error_if_not_converged": False}}
 
 
 def tell(line):
