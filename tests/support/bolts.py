@@ -20,7 +20,7 @@ from dolfinx.mesh import locate_entities, meshtags
 from fenics_tfeti import BoltPreload
 from fenics_tfeti.io import Interface, TaggedMesh, split_interfaces, tag_facets
 
-UPPER, LOWER, HELD, LOADED, JOINT, SEAT, CUT = 1, 2, 10, 11, 20, 30, 60
+UPPER, LOWER, HELD, LOADED, JOINT, SEAT, CUT = 1, 2, 10, 3, 20, 30, 60
 SHANK, HEAD, THICK = 0.5, 1.0, 1.0  # half widths of shank and head, thickness of a plate and a head
 
 

@@ -85,10 +85,10 @@ def pulled_strip(n: int = 50, comm: MPI.Intracomm = MPI.COMM_SELF) -> Rubbing:
 
 def pulled_plate(friction: Any, n: int = 4) -> ContactProblem:
     """Return a plate of 8 x 1 x 1/4 pressed on a rigid plane, pulled at x = 8."""
-    marks = [(SIDE, at(0, 8.0)), (SLAVE, at(2, 0.0)), (TOP, at(2, 0.25))]
+    marks = [(SIDE, at(0, 8.0)), (SLAVE, at(2, 0.0)), (LOADED, at(2, 0.25))]
     parts = [((0, 0, 0), (8, 1, 0.25), (8 * n, n, max(n // 4, 1)))]
     scene = Scene.of_boxes(MPI.COMM_SELF, "hexahedron", parts, marks, young=1.0)
-    scene.add_load(TOP, np.array([0.0, 0.0, -1e-3]))
+    scene.add_load(LOADED, np.array([0.0, 0.0, -1e-3]))
     scene.fix(SIDE, None, np.array([0.02, 0.003, 0.0]))
     scene.add_obstacle(SLAVE, plane(2, 3), friction=friction)
     return scene.problem(options={"subdomain_size": 375})

@@ -27,7 +27,7 @@ from fenics_tfeti.fem.mesh_error.estimate import MeshErrorProblem
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 
-FOOT, TOP, LEFT, RIGHT, BELOW, ABOVE, SIDE_Y = 1, 2, 3, 4, 5, 6, 7
+FOOT, TOP, LEFT, RIGHT, BELOW, ABOVE, SIDE_Y = 1, 3, 2, 4, 5, 6, 7
 TIGHT = {"rtol": 1e-8}
 
 

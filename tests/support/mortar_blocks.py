@@ -26,8 +26,8 @@ from fenics_tfeti.fem.geometry.facets import shape_functions
 from fenics_tfeti.fem.geometry.integrals import integrate, integrate_alone
 
 PRESSURE = 2e7
-LOADED, LOWER, UPPER = 1, 10, 11
-SUPPORTED = (2, 3, 4)
+LOADED, LOWER, UPPER = 3, 10, 11
+SUPPORTED = (1, 2, 4)
 HEIGHT = 1.0
 
 

@@ -11,7 +11,7 @@ from scenes import Scene, at, dimension
 from fenics_tfeti import ContactProblem, Mortar
 
 PRESSURE, LOW, WIDTH = 1e6, 0.2, 0.6
-LOADED, CLAMPED, TABLE, FOOT = 1, 2, 10, 11
+LOADED, CLAMPED, TABLE, FOOT = 3, 2, 10, 11
 
 
 def foot_on_table(

@@ -13,7 +13,7 @@ import ufl
 
 from fenics_tfeti import ContactProblem, Tresca
 
-BOTTOM, BLOCK, TOOL, PRESSED = 1, 2, 3, 4
+BOTTOM, BLOCK, PRESSED, TOOL = 1, 2, 3, 4
 
 
 def pressed_blocks(

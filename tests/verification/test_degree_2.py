@@ -15,7 +15,7 @@ from dolfinx import fem
 from fenics_tfeti import ContactPair, Deformed, Plane, RigidObstacle, TiedPair
 
 COMM = MPI.COMM_SELF
-TOP, BOTTOM, SIDES = 1, 2, (3, 4)
+TOP, BOTTOM, SIDES = 3, 2, (1, 4)
 HALF = 0.5
 
 

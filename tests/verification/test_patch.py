@@ -32,7 +32,7 @@ HEIGHTS = (1.0, 1.9, 3.0)  # of the blocks' upper faces, at the origin where the
 YOUNG = (2.1e11, 7e10, 1.2e11)
 POISSON = (0.3, 0.33, 0.2)
 SLOPES = {"horizontal": ((0.0, 0.0), (0.0, 0.0)), "inclined": ((0.3, -0.2), (-0.25, 0.1))}
-LOADED, SUPPORTED = 1, (2, 3, 4)
+LOADED, SUPPORTED = 3, (1, 2, 4)
 UPPER, LOWER = (10, 11, 12), (20, 21, 22)
 
 # edges of triangles and tetrahedra before they are cut, and unknowns of a subdomain: two or more

@@ -18,7 +18,7 @@ from fenics_tfeti.models import neo_hookean
 
 pytestmark = pytest.mark.once
 
-GROUND, LOADED, LOWER, UPPER = 1, 2, 10, 11
+GROUND, LOADED, LOWER, UPPER = 1, 3, 10, 11
 
 
 def heavy_from(limit, values):

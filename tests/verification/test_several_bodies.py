@@ -16,7 +16,7 @@ from fenics_tfeti.parallel import largest_of_ranks
 
 pytestmark = [pytest.mark.ranks, pytest.mark.once]
 
-BAR, LEFT, RIGHT, FLOOR, TOP, SIDE = 1, 2, 3, 4, 5, 6
+BAR, LEFT, TOP, FLOOR, RIGHT, SIDE = 1, 2, 3, 4, 5, 6
 PRESSURE, YOUNG = 1e3, 1e6
 
 
