@@ -385,6 +385,21 @@ def test_products_are_those_of_ties(preconditioner):
 
 
 @once
+@pytest.mark.parametrize("preconditioner", ["lumped", "dirichlet"])
+def test_much_softer_springs_beside_ties_take_no_more(preconditioner):
+    """Rigid motions are removed by forces of the ties; by all rows it is twice the products."""
+    system, options = column(5, 2, load=(0.1, 0.0, 1.0)), Options(preconditioner=preconditioner)
+    soft = np.arange(system.contacts.size) >= 0.3 * system.contacts.size
+    unit = TornSolver(with_springs(system, 0.0, 0.0), options).setup.local.unit
+    compliances = [np.where(soft, c / unit, 0.0) for c in (300.0, 1e4, 1e6)]
+    solutions = [TornSolver(with_springs(system, c, c), options).solve() for c in compliances]
+    products = [solution.report.products["cg"] for solution in solutions]
+    assert max(products[1:]) <= products[0]
+    for solution in solutions:
+        assert solution.report.certificate.worst <= 1e-6
+
+
+@once
 @pytest.mark.parametrize("seed", range(54, 58))
 def test_direct_solvers_of_faces(seed):
     """The compliances are in the factor of a face."""

@@ -23,7 +23,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 # compliance, relative to that of a node, from which on springs have no part in removing rigid
 # motions
-_SOFT = 10.0
+_SOFT = 100.0
 
 
 @dataclass(frozen=True)
