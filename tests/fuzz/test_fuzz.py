@@ -58,7 +58,14 @@ NEEDS = {
 }
 
 
-SLOW = {("both", 49), ("both", 525), ("both", 694), ("both", 1059), ("feti", 50040)}
+SLOW = {
+    ("both", 49),
+    ("both", 525),
+    ("both", 694),
+    ("both", 1059),
+    ("feti", 30066),
+    ("feti", 50040),
+}
 
 
 @pytest.mark.once
