@@ -172,7 +172,16 @@ def test_two_folds_at_once():
     np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
 
 
-def one_fold(gdim, contact):
+def energy_around_an_axis(u):
+    """The energy of a Neo-Hookean material by the area of a plane through the axis x = 0."""
+    r, G = ufl.SpatialCoordinate(u.function_space.mesh)[0], ufl.grad(u)
+    J, squares = ufl.det(ufl.Identity(2) + G) * (1 + u[0] / r), ufl.inner(G, G) + (u[0] / r) ** 2
+    mu, lmbda = 1e3 / 2.6, 1e3 * 0.3 / (1.3 * 0.4)
+    trace = 2 * (ufl.tr(G) + u[0] / r) + squares
+    return 2 * ufl.pi * r * (mu / 2 * trace - mu * ufl.ln(J) + lmbda / 2 * ufl.ln(J) ** 2)
+
+
+def one_fold(gdim, contact, degree=1, is_axisymmetric=False):
     """Forces, per depth, of a plane and of two sheets that it closes.
 
     The upper one has the larger facets, and is the slave.
@@ -195,15 +204,23 @@ def one_fold(gdim, contact):
     x0, y0, angle = curve(s + 0.02 * s * (s / length - 1.0))
     mesh.geometry.x[:, 0] = x0 - y * np.sin(angle)
     mesh.geometry.x[:, 1] = y0 + y * np.cos(angle)
-    V = displacement_space(mesh)
+    mesh.geometry.x[:, 0] += 1.0 if is_axisymmetric else 0.0
+    V = displacement_space(mesh, degree)
     u, down, top = Function(V), [0.0], thick + gap + thick / 2
+    weight = 2 * ufl.pi * ufl.SpatialCoordinate(mesh)[0] if is_axisymmetric else None
+    energy = energy_around_an_axis(u) if is_axisymmetric else neo_hookean(1e3, 0.3)(u)
+    rule = {"quadrature_degree": 2 * degree} if degree > 1 else {}
     point, normal = (lambda: (0, top - down[0], 0)[:gdim]), (0, -1, 0)[:gdim]
     plane = RigidObstacle(tags, 2, lambda x: Plane(point(), normal)(x))
     bcs = [symmetry_plane(V, tags, 1, axis) for axis in (0, 1)]
     bcs += [symmetry_plane(V, lateral, 3, 2)] if sides else []
-    F = ufl.derivative(neo_hookean(1e3, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V))
     problem = NonlinearContactProblem(
-        F, u, bcs=bcs, contacts=[plane, contact(tags)], options={"newton_rtol": 1e-9}
+        ufl.derivative(energy * ufl.dx(metadata=rule), u, ufl.TestFunction(V)),
+        u,
+        bcs=bcs,
+        contacts=[plane, contact(tags)],
+        measure_weight=weight,
+        options={"newton_rtol": 1e-9},
     )
     for down[0] in (0.8 * gap, 1.3 * gap):
         problem.solve()
@@ -219,6 +236,26 @@ def smooth_fold(gdim):
 def test_fold_of_a_sheet_in_space():
     """As in plane strain, but for the quadrature of the energy."""
     np.testing.assert_allclose(smooth_fold(3), smooth_fold(2), rtol=1e-5)
+
+
+@pytest.mark.heavy
+def test_fold_of_a_sheet_of_degree_2_in_space():
+    found, expected = (one_fold(gdim, lambda tags: SelfContact(), degree=2) for gdim in (3, 2))
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+
+
+def test_fold_around_an_axis():
+    """As of the two sheets, tagged by hand."""
+    given = {"partial": True, "roles": "given"}
+    expected, found = (
+        one_fold(2, contact, is_axisymmetric=True)
+        for contact in (
+            lambda tags: ContactPair(tags, SECOND, FIRST, **given),
+            lambda tags: SelfContact(),
+        )
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
+    assert abs(found[1]) > 0.1 * abs(found[0])
 
 
 def test_fold_with_friction():
