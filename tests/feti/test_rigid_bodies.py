@@ -12,6 +12,7 @@ from fenics_tfeti.errors import InputError, UnresistedMotion
 from fenics_tfeti.feti import (
     ContactRows,
     Options,
+    Prescribed,
     Subdomain,
     TornSolver,
     TornSystem,
@@ -324,3 +325,13 @@ def test_bodies_on_a_line_and_at_a_point():
     ).solve()
     assert not np.concatenate(solution.displacements[-2:]).any()
     assert solution.report.certificate.error <= 1e-6
+
+
+def test_rigid_bodies_alone():
+    lower, upper = (
+        Subdomain.rigid([0.0, 0.0, -1.0], [[0.0, 0.0, z]], [int(z)], int(z), np.eye(3))
+        for z in (0.0, 1.0)
+    )
+    rows = ContactRows([0, 2], [1, 0], [[0, 0, 1.0], [0, 0, -1.0]], [0.1], [0])
+    with pytest.raises(InputError, match="none has a stiffness, and nothing says how"):
+        TornSolver(TornSystem([lower, upper], Prescribed(), rows, 3))

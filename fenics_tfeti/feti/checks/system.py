@@ -28,7 +28,7 @@ from fenics_tfeti.feti.system import (
     node_graph,
 )
 from fenics_tfeti.feti.tolerances import GIVEN, NEGLIGIBLE, ZERO, rounding
-from fenics_tfeti.parallel import raise_collectively
+from fenics_tfeti.parallel import any_rank, raise_collectively
 from fenics_tfeti.typing import Vector
 
 # the directory of nodes computes with numbers of up to twice this
@@ -70,6 +70,11 @@ def check_system(system: TornSystem, stiffness: bool = True) -> None:
         if stiffness:
             _check_matrices(system)
     _check_numbering(system)
+    if not any_rank(system.comm, [s.stiffness.nnz > 0 for s in system.subdomains]):
+        raise InputError(
+            "subdomains: none has a stiffness, and nothing says how rigid bodies share forces; add "
+            "a deformable one"
+        )
     if stiffness:
         check_bodies(system)
 
