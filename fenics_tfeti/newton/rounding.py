@@ -13,6 +13,9 @@ from fenics_tfeti.feti.system import Subdomain
 from fenics_tfeti.parallel import largest_of_ranks
 from fenics_tfeti.typing import Vector
 
+# of strains, which are differences of displacements and not of coordinates, relative to one
+_STRAIN = 1e-14
+
 
 @dataclass(frozen=True)
 class Rounding:
@@ -46,7 +49,7 @@ class Rounding:
 
     def internal_forces(self, displacement: float) -> Vector:
         """Return what is left of internal forces (owned,), at a largest displacement [N]."""
-        return COORDINATE_ROUNDING * (self.strained + self.stiffness * displacement)
+        return _STRAIN * (self.strained + self.stiffness * displacement)
 
     def contact_forces(self, displacement: float) -> Vector:
         """Return what is left of contact forces (owned,), at a largest displacement [N]."""

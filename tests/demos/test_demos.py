@@ -397,8 +397,7 @@ def test_snap_fit(demo):
         assert demo["work"] < kept < np.sum(H[1:] * np.diff(way))
         assert 0.0 < demo["friction"] < demo["left"]
     else:
-        # forces that rounding of coordinates could leave are none in the last steps
-        assert H[-1] == pytest.approx(0.0, abs=3e-6 * H.max())
+        assert H[-1] == pytest.approx(0.0, abs=1e-6 * H.max())
         assert demo["left"] < 1e-6 * demo["work"]
         assert demo["work"] == pytest.approx(kept, rel=0.05)
 
