@@ -49,6 +49,7 @@ from fenics_tfeti.findings import (
     strain_findings,
     unaccepted_step,
 )
+from fenics_tfeti.newton.iteration import SMALLER
 from fenics_tfeti.options import ContactOptions
 from fenics_tfeti.parallel import (
     largest_of_ranks,
@@ -63,6 +64,8 @@ from fenics_tfeti.typing import Vector
 
 # shortest step, as a share of all; no shorter rest is left
 _SHORTEST = 1e-3
+# solves of one load, after each of which a surface touches itself elsewhere
+_MOST_PATCHES = 5
 
 
 AnyReport = TypeVar("AnyReport", bound=ContactReport)
@@ -125,7 +128,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 measure_weight=measure_weight,
                 compiler=compiler,
                 displacement=displacement,
-                may_turn=bool(self._exact),
+                deformed_by=self.u if self._exact else None,
                 timer=self._timer,
             )
             with self._timer.phase("assembly"):
@@ -339,6 +342,24 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         with self._timer.phase("coarse contact"):
             gathered = coarse._solved.gathered()
         return [gathered[key] for key in self._torn.undeformed.keys]
+
+    def _solve_where_surfaces_met(self, solve: Callable[[], Any]) -> None:
+        """Solve again while a surface has come near itself where it had no conditions.
+
+        Collective.
+        """
+        for _ in range(_MOST_PATCHES):
+            if not self.report.converged or not self._torn.lacks_contact(self.u):
+                return
+            solve()
+        if self._torn.lacks_contact(self.u):
+            self._is_solved = False
+            raise NotConverged(
+                "a surface that touches itself comes near itself elsewhere after each of "
+                f"{_MOST_PATCHES} solves of the same load: {SMALLER}",
+                self.u,
+                self.report,
+            )
 
     def _refresh(self) -> None:
         """Take what has changed since the last solve or the set-up."""

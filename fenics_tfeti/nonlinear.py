@@ -30,7 +30,7 @@ from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.feti.local.moduli import compressibility
 from fenics_tfeti.load_steps import SteppedProblem
 from fenics_tfeti.newton.arc_length import Arc, ArcIteration
-from fenics_tfeti.newton.iteration import SMALLER, Monitor, NewtonIteration, NewtonStep
+from fenics_tfeti.newton.iteration import Monitor, NewtonIteration, NewtonStep
 from fenics_tfeti.newton.last_state import solution_at
 from fenics_tfeti.newton.load_case import LoadCase, NewtonState
 from fenics_tfeti.newton.rounding import Rounding
@@ -43,8 +43,6 @@ from fenics_tfeti.sensitivities.forms import FormsAtSolution
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
-# solves of one load with other patches of surfaces that touch themselves
-_MOST_PATCHES = 5
 
 
 @dataclass(frozen=True)
@@ -205,7 +203,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             try:
                 with self._as_before_errors(), self._looking_over():
                     self._solve(coarse, monitor, checkpoint)
-                    self._solve_where_surfaces_met(monitor, checkpoint)
+                    self._solve_where_surfaces_met(lambda: self._solve(None, monitor, checkpoint))
             finally:
                 self._timer.restart()
         self._view()
@@ -313,26 +311,6 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
     def _was_hard(self) -> bool:
         return len(self.report.newton) > _HARD
-
-    def _solve_where_surfaces_met(
-        self, monitor: Monitor | None, checkpoint: str | os.PathLike[str] | None
-    ) -> None:
-        """Solve again while a surface has come near itself where it had no conditions.
-
-        Collective.
-        """
-        for _ in range(_MOST_PATCHES):
-            if not self._is_solved or not self._torn.lacks_contact(self.u):
-                return
-            self._solve(None, monitor, checkpoint)
-        if self._torn.lacks_contact(self.u):
-            self._is_solved = False
-            raise NotConverged(
-                "a surface that touches itself comes near itself elsewhere after each of "
-                f"{_MOST_PATCHES} solves of the same load: {SMALLER}",
-                self.u,
-                self.report,
-            )
 
     def tangent(
         self, data: Mapping[Function | Constant, Any], *, rtol: float = 1e-8

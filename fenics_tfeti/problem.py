@@ -225,6 +225,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
             try:
                 with self._looking_over():
                     uh = self._solve(coarse, monitor, checkpoint)
+                    if self.gaps is not None:
+                        self._solve_where_surfaces_met(
+                            lambda: self._solve(None, monitor, checkpoint)
+                        )
             except Interrupted as error:
                 if error.solution is not None:
                     self._save(checkpoint)
@@ -562,11 +566,13 @@ class ContactProblem(SteppedProblem[ContactReport]):
         undeformed, last = self._torn.undeformed, self._deformed
         if self._is_restored and not undeformed.bodies.frames:
             last = undeformed
-        if last is None or not undeformed.has_same_contacts(last):
+        if last is None:
             return undeformed
         # measured anew: obstacles and the weight of the measure may have changed
         uh = fill_owned(Function(self.space), self._accepted.displacement)
         bodies = undeformed.bodies.restored(last.bodies.saved())
+        if not undeformed.has_same_contacts(last):
+            last = undeformed
         with self._timer.phase("deformed surfaces"):
             return undeformed.deformed(uh, bodies, last)[0].with_friction(uh)
 

@@ -64,7 +64,7 @@ class TornProblem:
         measure_weight: Any,
         compiler: _compat.CompilerOptions,
         displacement: Function | None,  # of the surfaces where obstacles are evaluated
-        may_turn: bool,  # whether contacts are also searched on the deformed surfaces
+        deformed_by: Function | None,  # of the surfaces that contacts follow, if they do
         timer: Timer,
     ) -> None:
         self.space, self.nodes, self.compiler = space, NodeMap(space), compiler
@@ -74,7 +74,7 @@ class TornProblem:
             _check_rigid_tags(space, self.bodies, rigid_bodies)
             check_mesh(space.mesh, self.bodies, contacts)
         self._search = ContactSearch(
-            space, self.bodies, measure_weight, timer, displacement, rigid_bodies, may_turn
+            space, self.bodies, measure_weight, timer, displacement, rigid_bodies, deformed_by
         )
         self._is_updated = False
         found = self._find(self._search, bcs, contacts)

@@ -8,19 +8,20 @@ from folded import INSIDE, OUTSIDE, arc, serpentine, spiral, strip
 from matching import match_contacts
 
 import ufl
-from dolfinx.fem import Function, dirichletbc, locate_dofs_geometrical
+from dolfinx.fem import Constant, Function, dirichletbc, locate_dofs_geometrical
 from dolfinx.mesh import CellType, compute_midpoints, create_rectangle, create_submesh
 
 from fenics_tfeti import (
     ContactPair,
     ContactProblem,
     Coulomb,
+    Deformed,
     InputError,
     Mortar,
     SelfContact,
     find_contacts,
 )
-from fenics_tfeti.fem.contact.search.patches_of_itself import Patches
+from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, beside_opposed
 from fenics_tfeti.fem.contact.search.self_contact import SelfPatches
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
@@ -192,18 +193,18 @@ def pressed(slit, contacts):
 
 
 @pytest.mark.parametrize(
-    "contacts",
+    ("contacts", "partners"),
     [
-        lambda mesh: SelfContact(distance=0.04, name="lips"),
-        lambda mesh: find_contacts(mesh, itself=True, distance=0.04),
+        (lambda mesh: SelfContact(distance=0.04, name="lips"), Mortar()),
+        (lambda mesh: find_contacts(mesh, itself=True, distance=0.04), None),
     ],
 )
-def test_lips_of_a_slit_are_those_of_two_tags(slit, contacts):
+def test_lips_of_a_slit_are_those_of_two_tags(slit, contacts, partners):
     found, problem = pressed(slit, contacts(slit[0]))
-    expected, tagged = pressed(slit, ContactPair(slit[1], 1, 2, partial=True, partners=Mortar()))
+    expected, tagged = pressed(slit, ContactPair(slit[1], 1, 2, partial=True, partners=partners))
     own, other = problem.results[0], tagged.results[0]
     assert 4 < own.active.sum() == other.active.sum() < own.active.size
-    np.testing.assert_allclose(found, expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_contact_of_another_mesh(slit):
@@ -216,3 +217,57 @@ def test_contact_of_another_mesh(slit):
 def test_nothing_to_meet_is_told(slit):
     with pytest.warns(UserWarning, match="lips: no part of the surface faces another one"):
         pressed(slit, SelfContact(slit[1], 3, name="lips"))
+
+
+def prongs(contact):
+    """Forces between the prongs of a fork, whose ends two growing tractions close and press.
+
+    Gaps are those of the deformed prongs.
+    """
+    long, thick, gap = 6.0, 1.0, 1.0
+    curve, length = serpentine(long, gap + thick, 2)
+    mesh, _ = strip(length, thick, 80, curve, layers=4)
+    near_ends = {
+        3: lambda x: np.isclose(x[1], -thick / 2) & (x[0] < 1.01),
+        4: lambda x: np.isclose(x[1], gap + 1.5 * thick) & (x[0] < 1.01),
+        1: lambda x: np.isclose(x[1], thick / 2) & (x[0] < long + 1e-9),
+        2: lambda x: np.isclose(x[1], thick / 2 + gap) & (x[0] < long + 1e-9),
+    }
+    tags = tag_facets(mesh, near_ends)
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    ds = ufl.Measure("ds", mesh, subdomain_data=tags)
+    load = Constant(mesh, 0.0)
+    held = locate_dofs_geometrical(V, lambda x: x[0] > long + 0.3)
+    problem = ContactProblem(
+        ufl.inner(isotropic(1e3, 0.3)(u), small_strain(v)) * ufl.dx,
+        load * v[1] * ds(3) - load * v[1] * ds(4),
+        bcs=[dirichletbc(np.zeros(2), held, V)],
+        contacts=[contact(tags)],
+        gaps=Deformed(tolerance=1e-8),
+        options={"rtol": 1e-10},
+    )
+    forces = []
+    for load.value in (0.8, 2.0):
+        problem.solve()
+        forces.append(abs(problem.results[0].force[1]))
+    return forces
+
+
+@pytest.mark.filterwarnings("ignore:.* turns by .* degrees:UserWarning")
+def test_prongs_that_come_near_each_other():
+    """They face each other farther apart than one looks, and are inside when they are found."""
+    found = prongs(lambda tags: SelfContact(distance=0.4))
+    given = {"partial": True, "roles": "given", "partners": Mortar()}
+    expected = prongs(lambda tags: ContactPair(tags, 1, 2, **given))
+    assert 0.0 < expected[0] < expected[1]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_sides_of_corners_that_have_come_in():
+    """Where a corner is in a face, its steep side has no part in the patch."""
+    normal = np.array([[-0.97, -0.24], [-0.24, 0.97], [0.0, -1.0], [0.0, 1.0]])
+    pairs = np.array([[0, 2], [1, 2]])
+    assert beside_opposed(pairs, normal).tolist() == [True, False]
+    # alone it is the best there is
+    assert not beside_opposed(pairs[:1], normal).any()

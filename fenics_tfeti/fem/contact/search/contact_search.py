@@ -62,8 +62,9 @@ class ContactSearch:
 
     What was found is used again as long as the user's contacts and the nodes of the mesh are the
     same. It also decides, once for each pair, whether slave and master are exchanged. Obstacles are
-    evaluated on the surfaces deformed by a displacement, if one is given. Where surfaces `may_turn`
-    those that are not opposite each other have no conditions yet, otherwise they are an error.
+    evaluated on the surfaces deformed by a displacement, if one is given. Where contacts follow the
+    surfaces `deformed_by` another one, parts that face each other there are patches, and pairs that
+    are not opposite each other have no conditions yet; otherwise they are an error.
     """
 
     def __init__(
@@ -74,9 +75,9 @@ class ContactSearch:
         timer: Timer,
         displacement: Function | None = None,
         rigid: Mapping[int, RigidBody] | None = None,
-        may_turn: bool = False,
+        deformed_by: Function | None = None,
     ) -> None:
-        self._may_turn = may_turn
+        self._deformed_by = deformed_by
         self._space, self._bodies, self._timer = space, bodies, timer
         self._rigid_tags = rigid or {}
         self._displacement = displacement
@@ -143,7 +144,7 @@ class ContactSearch:
                 for (*_, roles), parts in zip(touching, matched, strict=True)
                 if not isinstance(roles.given, Patch)
             ]
-            if not self._may_turn:
+            if self._deformed_by is None:
                 check_opposite(of_tags)
             checked = {id(conditions) for _, conditions in known}
             new = [
@@ -187,9 +188,10 @@ class ContactSearch:
             if isinstance(contact, SelfContact):
                 known, name = self._patches.get(keys[k]), contact_name(contact, k)
                 if known is None or known.contact is not contact:
-                    known = SelfPatches.of(self.boundary, contact, name, self._may_turn)
-                patches[keys[k]] = known = known.at(self._displacement)
-                if known.is_empty and not self._may_turn:
+                    is_far = self._deformed_by is not None
+                    known = SelfPatches.of(self.boundary, contact, name, is_far)
+                patches[keys[k]] = known = known.at(self._deformed_by)
+                if known.is_empty and self._deformed_by is None:
                     warn_on_first_rank(
                         self._space.mesh.comm,
                         f"{name}: no part of the surface faces another one within "
@@ -201,7 +203,7 @@ class ContactSearch:
 
     def has_all_patches(self) -> bool:
         """Tell whether surfaces that touch themselves do so in their patches only. Collective."""
-        return all(known.at(self._displacement) is known for known in self._patches.values())
+        return all(known.at(self._deformed_by) is known for known in self._patches.values())
 
     def lacks_contact(self, displacement: Function) -> bool:
         """Tell whether a surface has come near itself where it has no patch. Collective."""

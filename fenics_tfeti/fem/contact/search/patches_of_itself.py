@@ -65,6 +65,19 @@ class Patches:
         return (first[:, 1] | second[:, 0]) & (first[:, 0] | second[:, 1])
 
 
+def beside_opposed(pairs: Numbers, normal: Vector) -> Mask:
+    """Tell which pairs (p, 2) of facets graze each other, while one of them is opposed to another.
+
+    They are sides of corners that are near a face, or have entered it, with their other side. The
+    facets have normals (f, gdim).
+    """
+    is_opposed = np.sum(normal[pairs[:, 0]] * normal[pairs[:, 1]], axis=1) <= -LEAST_COSINE
+    has_opposed = np.zeros(len(normal), dtype=bool)
+    has_opposed[pairs[is_opposed]] = True
+    beside: Mask = ~is_opposed & has_opposed[pairs].any(axis=1)
+    return beside
+
+
 def find_patches(
     pairs: Numbers, gap: Vector, nodes: Numbers, area: Vector, before: Numbers
 ) -> tuple[Patches, Numbers]:

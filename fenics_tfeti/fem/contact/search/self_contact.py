@@ -23,7 +23,12 @@ from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
 from fenics_tfeti.fem.contact.descriptions.partners import Mortar
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
-from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, find_patches, widened
+from fenics_tfeti.fem.contact.search.patches_of_itself import (
+    Patches,
+    beside_opposed,
+    find_patches,
+    widened,
+)
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, tagged_facets
 from fenics_tfeti.fem.geometry.batches import batches
@@ -34,7 +39,7 @@ from fenics_tfeti.fem.geometry.facets import (
     shape_functions,
 )
 from fenics_tfeti.fem.geometry.normals import facet_normals
-from fenics_tfeti.fem.geometry.vectors import edge_lengths
+from fenics_tfeti.fem.geometry.vectors import edge_lengths, unit
 from fenics_tfeti.fem.messages import coordinate_order
 from fenics_tfeti.fem.topology import cell_type, distinct_rows
 from fenics_tfeti.parallel import any_rank, concatenate_ranks, first_of_rank
@@ -149,7 +154,9 @@ class WholeSurface:
             kept[unknown] = self._are_far_along(s[unknown], m[unknown])
             return kept
 
-        return self._nearest(x, np.maximum(reach, self.depth), is_chosen)
+        near = self._nearest(x, np.maximum(reach, self.depth), is_chosen)
+        kept = ~beside_opposed(near.pairs, unit(facet_normals(x[self.nodes])))
+        return Facing(near.pairs[kept], near.gap[kept])
 
     @property
     def depth(self) -> float:
