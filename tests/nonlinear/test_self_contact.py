@@ -9,7 +9,7 @@ import pytest
 from folded import serpentine, strip, tags_of_boundary
 
 import ufl
-from dolfinx.fem import Function
+from dolfinx.fem import Function, dirichletbc, locate_dofs_topological
 from dolfinx.mesh import meshtags
 
 from fenics_tfeti import (
@@ -267,6 +267,51 @@ def test_fold_with_friction():
     np.testing.assert_allclose(found, expected, rtol=1e-7)
     # without friction the plane has another force
     assert abs(smooth_fold(2)[0] / found[0] - 1.0) > 1e-3
+
+
+def dragged(contact):
+    """Forces on a short sheet, per step, that its end presses and drags along a long one; patches.
+
+    It comes to where it faced nothing, and goes back.
+    """
+    thick, gap, leg = 0.08, 0.03, 1.0
+    curve, length = serpentine(leg, thick + gap, 2)
+    mesh, _ = strip(length - 0.5, thick, 36, curve)
+    tags = tag_facets(
+        mesh,
+        {
+            1: lambda x: np.isclose(x[1], -thick / 2) & (x[0] < leg + 1e-9),
+            2: lambda x: np.isclose(x[0], 0.5) & (x[1] > thick / 2 + gap / 2),
+            FIRST: lambda x: np.isclose(x[1], thick / 2) & (x[0] < leg + 1e-9),
+            SECOND: lambda x: np.isclose(x[1], thick / 2 + gap) & (x[0] < leg + 1e-9),
+        },
+    )
+    V = displacement_space(mesh)
+    u, motion = Function(V), Function(V)
+    F = ufl.derivative(neo_hookean(1e3, 0.3)(u) * ufl.dx, u, ufl.TestFunction(V))
+    bcs = [symmetry_plane(V, tags, 1, axis) for axis in (0, 1)]
+    bcs.append(dirichletbc(motion, locate_dofs_topological(V, 1, tags.find(2))))
+    problem = NonlinearContactProblem(
+        F, u, bcs=bcs, contacts=[contact(tags)], options={"newton_rtol": 1e-9}
+    )
+    forces, patches = [], []
+    for way in (0.0, -0.06, -0.12, -0.06):
+        motion.x.array.reshape(-1, 2)[:] = (way, -1.2 * gap)
+        problem.solve()
+        problem.advance()
+        forces.append(problem.results[0].force)
+        patches += [known.patches for known in problem._torn._search._patches.values()]
+    return np.array(forces), patches
+
+
+def test_slip_stays_where_patches_change():
+    """As of the two sheets, tagged by hand."""
+    friction = Coulomb(0.3)
+    found, patches = dragged(lambda tags: SelfContact(distance=0.02, friction=friction))
+    assert patches[0] is not patches[-1]
+    given = {"partial": True, "partners": Mortar(), "roles": "given", "friction": friction}
+    expected, _ = dragged(lambda tags: ContactPair(tags, SECOND, FIRST, **given))
+    np.testing.assert_allclose(found, expected, rtol=1e-7)
 
 
 @pytest.mark.heavy
