@@ -19,6 +19,7 @@ from fenics_tfeti import (
     InputError,
     Mortar,
     SelfContact,
+    TiedPair,
     find_contacts,
 )
 from fenics_tfeti.fem.contact.search.patches_of_itself import Patches, beside_opposed
@@ -271,3 +272,24 @@ def test_sides_of_corners_that_have_come_in():
     assert beside_opposed(pairs, normal).tolist() == [True, False]
     # alone it is the best there is
     assert not beside_opposed(pairs[:1], normal).any()
+
+
+@pytest.mark.parametrize("kind", [ContactPair, TiedPair])
+def test_surfaces_that_others_join_have_no_patch(kind):
+    """Whatever the roles of their patch would be; what faces a third one has a patch."""
+    heights = [(0.0, 1.0), (1.0, 1.5), (1.5, 2.0)]
+    each = [Box((0, a), (3, b), (6, 2)) for a, b in heights]
+    slabs = boxes(MPI.COMM_SELF, each, "quadrilateral")
+    sides = {k: lambda x, y=y: np.isclose(x[1], y) for k, y in enumerate((1.0, 1.0, 1.5, 1.5), 1)}
+    of_bodies = [(tag, place, (tag + 2) // 2) for tag, place in sides.items()]
+    tags = tag_facets(slabs.mesh, of_bodies, slabs.cell_tags)
+    boundary = MeshBoundary.of(displacement_space(slabs.mesh), None)
+
+    def patches(*others):
+        whole = SelfContact(distance=0.1)
+        numbered = dict(enumerate(others))
+        found = SelfPatches.of(boundary, whole, "slabs", is_far=True, others=numbered).at(None)
+        return len(found.patches.slave)
+
+    lower, upper = (kind(tags, slave=k, master=k + 1) for k in (1, 3))
+    assert [patches(), patches(lower), patches(upper), patches(lower, upper)] == [2, 1, 1, 0]

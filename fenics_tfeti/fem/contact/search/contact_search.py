@@ -35,6 +35,7 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.surfaces import (
+    SurfacePair,
     contact_keys,
     contact_name,
     free_key,
@@ -124,7 +125,10 @@ class ContactSearch:
             none = RigidBodies(self._space.mesh.comm, self._space.mesh.geometry.dim)
             last = self._last or ContactSet(self.boundary, [], [], prescribed, none, self.rigid)
             known = [(found.contact, found.undeformed) for found in last.contacts]
-            self._patches = self._patches_of(given, keys)
+            others = {
+                k: contact for k, contact in enumerate(contacts) if isinstance(contact, SurfacePair)
+            }
+            self._patches = self._patches_of(given, keys, others)
             touching = [
                 (k, patch, roles)
                 for k, contact in given.items()
@@ -180,16 +184,19 @@ class ContactSearch:
         return found
 
     def _patches_of(
-        self, contacts: Mapping[int, Contact], keys: Mapping[int, str]
+        self,
+        contacts: Mapping[int, Contact],
+        keys: Mapping[int, str],
+        others: Mapping[int, SurfacePair],
     ) -> dict[str, SelfPatches]:
         """Return the present patches of surfaces that touch themselves, by key. Collective."""
         patches = dict[str, SelfPatches]()
         for k, contact in contacts.items():
             if isinstance(contact, SelfContact):
                 known, name = self._patches.get(keys[k]), contact_name(contact, k)
-                if known is None or known.contact is not contact:
+                if known is None or not known.is_for(contact, others):
                     is_far = self._deformed_by is not None
-                    known = SelfPatches.of(self.boundary, contact, name, is_far)
+                    known = SelfPatches.of(self.boundary, contact, name, is_far, others)
                 patches[keys[k]] = known = known.at(self._deformed_by)
                 if known.is_empty and self._deformed_by is None:
                     warn_on_first_rank(

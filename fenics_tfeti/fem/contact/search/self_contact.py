@@ -7,9 +7,10 @@ as long as they have all pairs of facets that are near each other.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import is_
 from typing import TypeAlias
 
 import numpy as np
@@ -22,7 +23,7 @@ from dolfinx.mesh import meshtags
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.descriptions.contacts import Patch, SelfContact
 from fenics_tfeti.fem.contact.descriptions.partners import Mortar
-from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
+from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, contact_name, surface_tags
 from fenics_tfeti.fem.contact.search.patches_of_itself import (
     Patches,
     beside_opposed,
@@ -86,10 +87,14 @@ class WholeSurface:
     # (f,): of the undeformed wall behind each facet [m], infinite where that is more than twice the
     # depth, or where its other side is not of this surface
     thickness: Vector
+    # of each pair of surfaces that other contacts or ties join, which of the facets (f,) they have
+    joined: Sequence[tuple[Mask, Mask]] = ()
 
     @staticmethod
-    def of(boundary: MeshBoundary, contact: SelfContact, label: str) -> WholeSurface:
-        """Gather the surface. Collective."""
+    def of(
+        boundary: MeshBoundary, contact: SelfContact, label: str, others: Mapping[int, SurfacePair]
+    ) -> WholeSurface:
+        """Gather the surface, which others, by number, may join to another one. Collective."""
         comm, gdim = boundary.nodes.comm, boundary.nodes.components
         facets = _facets(boundary, contact, label)
         local = oriented_facets(boundary.space, facets)
@@ -110,7 +115,21 @@ class WholeSurface:
         own = row[begin : begin + len(local)]
         unknown = np.full(len(nodes), np.inf)
         surface = WholeSurface(boundary, facets, local, own, nodes, points, first, unknown)
-        return replace(surface, thickness=surface._thickness())
+        sides = [
+            (pair.facet_tags, tag, contact_name(pair, k))
+            for k, pair in others.items()
+            for tag in surface_tags(pair)
+        ]
+        on_sides = list(map(surface._has, tagged_facets(boundary, sides))) if sides else []
+        joined = list(zip(on_sides[::2], on_sides[1::2], strict=True))
+        return replace(surface, thickness=surface._thickness(), joined=joined)
+
+    def _has(self, facets: Indices) -> Mask:
+        """Tell which of the facets (f,) are among this rank's or another's. Collective."""
+        own = self.own[np.isin(self.facets, facets)]
+        found = np.zeros(len(self.nodes), dtype=bool)
+        found[concatenate_ranks(self.boundary.nodes.comm, own)] = True
+        return found
 
     def places(self, displacement: Function | None) -> Vector:
         """Return where the nodes (n, gdim) are [m]. Collective."""
@@ -142,12 +161,14 @@ class WholeSurface:
         """Return the pairs of facets that face each other at places of the nodes. Collective.
 
         They are in front of each other within reach (f,) [m], or behind by up to half the
-        thickness (f,) of the wall that they have come into [m].
+        thickness (f,) of the wall that they have come into [m]. No contact or tie joins them.
         """
         depth = np.minimum(0.5 * self.thickness, self.depth)
 
         def is_chosen(s: Numbers, m: Numbers, gap: Vector) -> Mask:
             kept = (gap <= reach[s]) & (gap >= -np.minimum(depth[s], depth[m]))
+            for first, second in self.joined:
+                kept &= ~((first[s] & second[m]) | (second[s] & first[m]))
             deep = np.flatnonzero(kept & (gap < -_TOUCHES * self.size[s]))
             pairs = np.column_stack([s[deep], m[deep]])
             unknown = deep[~patches.has(pairs)]
@@ -274,26 +295,39 @@ class SelfPatches:
     """The patches of a surface that touches itself, and the pairs of surfaces that they are."""
 
     contact: SelfContact
+    others: Mapping[int, SurfacePair]  # contacts and ties of two surfaces, by number
     surface: WholeSurface
     reach: Vector  # (f,) [m]
     patches: Patches
     pairs: tuple[Patch, ...]
 
     @staticmethod
-    def of(boundary: MeshBoundary, contact: SelfContact, name: str, is_far: bool) -> SelfPatches:
+    def of(
+        boundary: MeshBoundary,
+        contact: SelfContact,
+        name: str,
+        is_far: bool,
+        others: Mapping[int, SurfacePair] | None = None,
+    ) -> SelfPatches:
         """Return the contact of a surface without patches yet. Collective.
 
         By default facets are looked for up to a facet's shortest edge, or as `is_far` as surfaces
-        go in a load step.
+        go in a load step. What others join, by number, is no patch.
         """
-        surface = WholeSurface.of(boundary, contact, name)
+        others = others or {}
+        surface = WholeSurface.of(boundary, contact, name, others)
         _check_distance(contact, surface, name)
         shortest = edge_lengths(surface.points[surface.nodes]).min(axis=1)
         reach = np.full_like(shortest, _FAR * surface.size.max()) if is_far else shortest
         if contact.distance is not None:
             reach = np.full_like(shortest, contact.distance)
         none = Patches.none(len(surface.nodes))
-        return SelfPatches(contact, surface, reach, none, ())._with(none)
+        return SelfPatches(contact, others, surface, reach, none, ())._with(none)
+
+    def is_for(self, contact: SelfContact, others: Mapping[int, SurfacePair]) -> bool:
+        """Tell whether it was found for the same contact beside the same others."""
+        same = map(is_, self.others.values(), others.values())
+        return self.contact is contact and self.others.keys() == others.keys() and all(same)
 
     @property
     def is_empty(self) -> bool:
