@@ -385,6 +385,18 @@ def test_folded_strip(demo):
 
 
 @pytest.mark.once
+@also_short("0.1")
+def test_coil_spring(demo):
+    """The wire is twisted as a square bar is, until coils press on each other."""
+    way, force = np.array(demo["travel"]), np.array(demo["force"])
+    expected, is_open = demo["rate"] * way, way < 0.85 * demo["free"]
+    np.testing.assert_allclose(force[is_open], expected[is_open], rtol=0.06)
+    if way[-1] > demo["free"]:
+        assert demo["pressing"] >= 20 and force[-1] > 3 * expected[-1]
+        assert demo["problem"].report.contacts[0].penetration < 0.01 * demo["edge"]
+
+
+@pytest.mark.once
 @also_short("0.3")
 def test_snap_fit(demo):
     """The balance of energy; the force changes its sign behind the bump, and ends with zero."""

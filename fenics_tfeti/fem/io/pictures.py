@@ -19,11 +19,12 @@ import numpy as np
 
 from dolfinx.fem import Function
 
-from fenics_tfeti.errors import InputError
+from fenics_tfeti.errors import InputError, check_value
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
 from fenics_tfeti.fem.io.scene import Scene, gather_scene
 from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.typing import Vector
@@ -46,6 +47,7 @@ def draw_deformed(
     obstacles: Sequence[Obstacle] = (),
     camera: Sequence[float] = (-0.6, -1.0, 0.55),
     colour_map: str = "YlOrRd",
+    limits: tuple[float, float] | None = None,
     size: tuple[int, int] = (1600, 1000),
 ) -> None:
     """Draw the deformed mesh, coloured by a field, and the undeformed outline. Collective.
@@ -83,6 +85,10 @@ def draw_deformed(
         is along the z axis.
     colour_map : str
         A colour map of Matplotlib.
+    limits : tuple of 2 floats, optional
+        What the ends of the colour bar stand for, in its unit; values beyond have the colours of
+        the ends. By default they are the least and the largest value. Pictures of one animation
+        should have the same.
     size : tuple of int
         Width and height [pixels].
 
@@ -109,10 +115,12 @@ def draw_deformed(
     with raise_collectively(comm):
         _check_path(path)
         factor = units_of(units).factor(unit)
+        _check_limits(limits)
         if comm.rank == 0:
             _require("pyvista")
     scene = gather_scene(displacement, [] if colour is None else [colour])
-    limits = factor * _range(displacement if colour is None else colour)
+    if limits is None:
+        limits = tuple(factor * _range(displacement if colour is None else colour))
     with raise_collectively(comm):
         if scene is not None:
             scale = scene.scale if scale is None else scale
@@ -123,7 +131,7 @@ def draw_deformed(
                 "displacement": scene.displacement,
                 "faces": scene.faces,
                 "colours": values * factor,
-                "limits": limits,
+                "limits": np.asarray(limits, dtype=float),
                 "scale": scale,
                 "title": title,
                 "label": f"{name} [{unit}]" if unit else name,
@@ -284,6 +292,13 @@ def _points(name: str, curve: Sequence[Any]) -> tuple[Vector, Vector, str]:
             "have the same shape (n,)"
         )
     return x, y, str(curve[2]) if len(curve) == 3 else "-"
+
+
+def _check_limits(limits: Any) -> None:
+    if limits is None:
+        return
+    fits = np.shape(limits) == (2,) and all(map(is_number, limits)) and limits[0] < limits[1]
+    check_value(fits, "draw_deformed: limits", limits, "two numbers, the smaller one first")
 
 
 def _check_path(path: Path) -> None:
