@@ -18,6 +18,7 @@ from fenics_tfeti import (
     Plane,
     RigidObstacle,
     SelfContact,
+    TiedPair,
 )
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.contact_conditions import contact_rows, row_values
@@ -180,6 +181,45 @@ def test_closed_oblique_crack_that_slips():
     exact = np.pi * a * (tau - mu * sigma) * (1 - nu**2) / E
     coarse, fine = (mean_slip(n, a, slope, pressed, mu, E, nu) / exact for n in (32, 64))
     assert coarse < fine == pytest.approx(1.0, abs=0.01)
+
+
+def pressed_and_sheared(mesh, contacts):
+    """Forces (k,) and slips (k, 2) between the faces of a crack, by their places."""
+    V = displacement_space(mesh)
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(mesh)
+    ds = ufl.Measure("ds", mesh, subdomain_data=tag_facets(mesh, {TOP: lambda x: x[1] > 0.99}))
+    load = ufl.as_vector([0.6, -1 - x[0] / 2])
+    below = fem.locate_dofs_geometrical(V, lambda x: np.isclose(x[1], -1))
+    problem = ContactProblem(
+        ufl.inner(isotropic(1e3, 0.3)(u), small_strain(v)) * ufl.dx,
+        ufl.dot(load, v) * ds(TOP),
+        bcs=[fem.dirichletbc(np.zeros(2), below, V)],
+        contacts=contacts,
+        options={"rtol": 1e-12},
+    )
+    problem.solve()
+    crack = problem.results["crack"]
+    order = np.argsort(crack.coordinates[:, 0])
+    is_within = np.abs(crack.coordinates[order, 0]) < 0.49
+    return crack.nodal_normal_force[order][is_within], crack.friction.slip[order][is_within]
+
+
+def test_crack_is_that_between_two_bodies_that_are_tied_beside_it():
+    whole = cracked_block(2, MPI.COMM_SELF).mesh
+    law = Coulomb(0.1)
+    found = pressed_and_sheared(whole, SelfContact(distance=0.1, friction=law, name="crack"))
+    halves = [Box((-1, y), (1, y + 1), (2 * N, N)) for y in (-1, 0)]
+    halves = boxes(MPI.COMM_SELF, halves, "quadrilateral")
+    middle = {"crack": lambda x: np.abs(x[0]) < 0.51, "beside": lambda x: np.abs(x[0]) > 0.49}
+    places = [lambda x, at=at: np.isclose(x[1], 0) & at(x) for at in middle.values()]
+    sides = [(2 * body + k, place, body) for body in (1, 2) for k, place in enumerate(places)]
+    tags = tag_facets(halves.mesh, sides, halves.cell_tags)
+    given = {"partial": True, "partners": Mortar(), "roles": "given", "friction": law}
+    pair = ContactPair(tags, slave=4, master=2, name="crack", **given)
+    expected = pressed_and_sheared(halves.mesh, [pair, TiedPair(tags, slave=5, master=3)])
+    assert np.all(expected[0] > 0.0) and np.abs(expected[1]).min() < np.abs(expected[1]).max()
+    for one, other in zip(found, expected, strict=True):
+        np.testing.assert_allclose(np.abs(one), np.abs(other), atol=1e-9 * np.abs(other).max())
 
 
 @pytest.mark.ranks
