@@ -386,6 +386,18 @@ def test_folded_strip(demo):
 
 @pytest.mark.once
 @also_short("0.1")
+def test_pinched_tube(demo):
+    """The walls meet when the bars are 2 t apart, and have nearly all of the bars' force."""
+    way, force, walls = (np.array(demo[name]) for name in ("way", "force", "walls"))
+    is_open = way <= 1 - demo["t"] / (2 * demo["R"]) - 0.01
+    assert not walls[is_open].any() and (np.diff(force) > 0.0).all()
+    if way[-1] > 0.95:
+        assert 0.95 < walls[-1] / force[-1] < 1.0 and force[-1] > 30 * force[is_open].max()
+        assert demo["depth"] < 1e-6 * demo["t"]
+
+
+@pytest.mark.once
+@also_short("0.1")
 def test_coil_spring(demo):
     """The wire is twisted as a square bar is, until coils press on each other."""
     way, force = np.array(demo["travel"]), np.array(demo["force"])

@@ -104,7 +104,7 @@ def test_walls_of_a_crushed_ring(crushed_by_itself, crushed_by_tags):
     """They face each other only once the ring is crushed, and meet in the middle of a load step."""
     forces, _ = crushed_by_itself
     assert forces[-1, 1] > 2.0 * abs(forces[0, 0])
-    np.testing.assert_allclose(forces, crushed_by_tags, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(forces, crushed_by_tags, rtol=1e-8, atol=1e-9)
 
 
 @pytest.mark.heavy
@@ -112,7 +112,7 @@ def test_walls_with_friction():
     friction = Coulomb(0.3)
     found, _ = crushed(lambda tags: SelfContact(friction=friction, name="wall"))
     expected, _ = crushed(two_tags(friction))
-    np.testing.assert_allclose(found, expected, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-9)
 
 
 def test_results_have_one_contact_with_the_patches_in_it(crushed_by_itself):
