@@ -600,6 +600,18 @@ class TornSystem:
         sizes = np.array([s.nodes.size for s in self.subdomains], dtype=np.int64)
         return np.repeat(of_subdomains, sizes)
 
+    def chosen_copies(self, chosen: Mask) -> tuple[Numbers, Vector]:
+        """Return the numbers and coordinates (k, gdim) of some of the copies (copies,) of nodes."""
+        ends = np.cumsum([s.nodes.size for s in self.subdomains])
+        parts = (
+            list(zip(self.subdomains, np.split(chosen, ends[:-1]), strict=True))
+            if ends.size
+            else []
+        )
+        nodes = [np.zeros(0, dtype=np.int64), *(s.nodes[part] for s, part in parts)]
+        x = [np.zeros((0, self.gdim)), *(s.coordinates[part] for s, part in parts)]
+        return np.concatenate(nodes), np.concatenate(x)
+
     def body_name(self, body: int) -> str:
         """Return the name of a body."""
         has_name = isinstance(body, int | np.integer) and 0 <= body < len(self.body_names)

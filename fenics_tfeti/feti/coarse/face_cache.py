@@ -38,7 +38,11 @@ class FaceCache:
         self.kept.insert(0, self.kept.pop(int(same.argmax())))
         return self.kept[0][1]
 
+    def drop_oldest(self) -> None:
+        """Make room for another one, before it is made."""
+        del self.kept[_KEPT - 1 :]
+
     def keep(self, face: Face, belonging: Any) -> None:
-        """Keep an object for a face in place of that of the oldest one."""
+        """Keep an object for a face."""
         self.kept.insert(0, (face, belonging))
         del self.kept[_KEPT:]

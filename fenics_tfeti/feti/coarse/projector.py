@@ -50,6 +50,7 @@ class Projector:
         known = coarse_space.faces.find(held)
         if known is not None:
             return Projector(coarse_space, face, held, soft, **known)
+        coarse_space.faces.drop_oldest()
         resistance = coarse_space.resistance(held)
         z = resistance.free
         free, single = _orthonormal_motions(coarse_space, z)

@@ -24,7 +24,7 @@ from fenics_tfeti.feti.solution.setup import LocalSetup
 from fenics_tfeti.feti.solution.states import ContactData
 from fenics_tfeti.feti.system import ContactRows, Friction, TornSystem
 from fenics_tfeti.parallel import Directory, concatenate_ranks, count_over_ranks
-from fenics_tfeti.typing import Numbers, Vector
+from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -150,19 +150,21 @@ def resultants(
     friction_force = tangential_forces(F.constraints, data, multipliers)
     forces = _row_forces(system, F.constraints, multipliers, friction_force)
     rows = forces.rows
-    x = system.coordinates
     loads = unknowns.without_ground(data.load).reshape(-1, gdim)
-    constraint_forces = F.constraint_forces(multipliers)
-    supports = -unknowns.without_ground(constraint_forces).reshape(-1, gdim)
-    internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
-    loads, supports = (np.where(internal[:, None], 0.0, part) for part in (loads, supports))
-
+    supports = unknowns.without_ground(F.constraint_forces(multipliers)).reshape(-1, gdim)
     # subdomains that cannot move freely in all directions have springs
     modes = np.array([kernel.shape[1] for kernel in local.kernels], dtype=np.int64)
     sprung = system.at_copies(modes - unknowns.grounds < {2: 3, 3: 6}[gdim])
+    internal = system.at_copies(np.array([s.is_unknown for s in system.subdomains], dtype=bool))
+
+    # most nodes are inside a subdomain, and nothing acts there
+    acting = loads.any(axis=1) | supports.any(axis=1) | _touched(F, unknowns, gdim)
+    nodes, x = system.chosen_copies(acting)
+    sprung, outside = sprung[acting], ~internal[acting, None]
+    loads, supports = loads[acting] * outside, -supports[acting] * outside
     # the other forces on a subdomain with springs, f - B'lambda = K u_t, balance theirs
     springs = _NodalForces(x[sprung], -(loads + supports)[sprung])
-    reactions = _reactions(system, x, supports, rows.nodes, forces.terms)
+    reactions = _reactions(system, nodes, x, supports, rows.nodes, forces.terms)
     external = [_NodalForces(x, loads), springs, *reactions]
     sums = comm.allreduce(np.array([part.sums() for part in external]))
 
@@ -171,7 +173,8 @@ def resultants(
     work_of_rows = np.sum(friction_force * friction.given(slips / friction.scale[:, None]), axis=1)
     contact = system.contacts.contact[system.friction.row]
     work = np.bincount(contact, work_of_rows, contacts).astype(np.float64)
-    points = _points(system, x, F, unknowns, rows.nodes)
+    directory = Directory(comm, np.unique(rows.nodes))
+    points = directory.lookup(rows.nodes, *directory.table(nodes, x))[1]
     contact_names = [system.contact_name(i) for i in range(contacts)]
     of_contacts = forces.of_contacts(system.contacts, contact_names, points, work, comm)
     # what a row exerts in all is a force from outside: that of an obstacle
@@ -272,17 +275,12 @@ def _row_forces(
     return RowForces.of(system.contacts, system.tied, system.friction, forces, unknowns)
 
 
-def _points(
-    system: TornSystem, x: Vector, F: DualOperator, unknowns: TornUnknowns, nodes: Numbers
-) -> Vector:
-    """Return the coordinates of any nodes that B acts on. Collective."""
-    gdim = system.gdim
+def _touched(F: DualOperator, unknowns: TornUnknowns, gdim: int) -> Mask:
+    """Tell which copies of nodes B acts on, (copies,)."""
     touched = np.zeros(int(unknowns.ends[-1]), dtype=bool)
     touched[F.interface.columns] = True
-    local = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
-    directory = Directory(system.comm, np.unique(nodes))
-    table = directory.table(system.nodes[local], x[local])
-    return directory.lookup(nodes, *table)[1]
+    copies: Mask = unknowns.without_ground(touched).reshape(-1, gdim).any(axis=1)
+    return copies
 
 
 def _size(forces: Vector) -> float:
@@ -302,12 +300,18 @@ def moments(points: Vector, forces: Vector) -> Vector:
 
 
 def _reactions(
-    system: TornSystem, x: Vector, supports: Vector, ends: Numbers, end_forces: Vector
+    system: TornSystem,
+    copies: Numbers,
+    x: Vector,
+    supports: Vector,
+    ends: Numbers,
+    end_forces: Vector,
 ) -> list[_NodalForces]:
     """Return for each Dirichlet condition the forces at prescribed components. Collective.
 
-    Each node's forces are summed on its home rank, from all its copies and the terms of contact
-    and tied rows, which exert `end_forces` at the nodes `ends`.
+    Each node's forces are summed on its home rank, from all its copies, at x (k, gdim) with the
+    forces of supports (k, gdim), and the terms of contact and tied rows, which exert `end_forces`
+    at the nodes `ends`.
     """
     comm, gdim, prescribed = system.comm, system.gdim, system.prescribed
     number = np.asarray(prescribed.condition, dtype=np.int64)
@@ -319,10 +323,10 @@ def _reactions(
     np.maximum.at(condition, (directory.position(nodes), components), number)
 
     loaded, pressed = supports.any(axis=1), end_forces.any(axis=1)
-    (points,) = directory.table(system.nodes[loaded], x[loaded])
+    (points,) = directory.table(copies[loaded], x[loaded])
     # a contact force on a prescribed component is in the multiplier of the support
     reaction = directory.sums(
-        np.append(system.nodes[loaded], ends[pressed]),
+        np.append(copies[loaded], ends[pressed]),
         np.concatenate([supports[loaded], -end_forces[pressed]]),
     )
     return [

@@ -290,8 +290,8 @@ class Certifier:
         """
         load, body = self.data.load, coarse_space.bodies.of_coarse
         pull = self.setup.F.constraint_forces(multipliers)
-        missing = coarse_space.coarse_load(load - pull)
-        size = coarse_space.coarse_load_size(np.abs(load) + np.abs(pull))
+        size = coarse_space.coarse_load_size(load) + coarse_space.coarse_load_size(pull)
+        missing = coarse_space.coarse_load(np.subtract(load, pull, out=pull))
         bodies = self.setup.row_bodies.bodies
         missing, size = (np.sqrt(np.bincount(body, x**2, bodies)) for x in (missing, size))
         of_springs = FEW * np.sqrt(self.setup.local.unit * rounding2)

@@ -124,16 +124,38 @@ def recover_displacement(
     """
     coarse_space, rows = projector.coarse_space, F.constraints.inequality
     face, closed_by = projector.face, projector.face.closed_by_springs(multipliers)
-    # what rounding leaves in the kernel of K would become a displacement, and the choice of K^+
-    # would show in its motions
-    forces = coarse_space.without_rigid_motion(load - F.constraint_forces(multipliers))
-    strained = coarse_space.without_rigid_motion(F.generalized_inverse(forces))
-    torn = strained + coarse_space.rigid_motion(
-        _motions(F, projector, c + closed_by, strained, multipliers, removed)
-    )
+    strained = _strained(F, coarse_space, load, multipliers)
+    alpha = _motions(F, projector, c + closed_by, strained, multipliers, removed)
+    torn = _moved(coarse_space, strained, alpha)
     displacement, closed = close_constraints(F, c, torn, face, multipliers, unit)
     jumps = F.jumps(displacement) - c
     return Recovered(strained, torn, displacement, jumps, (closed | face.rows)[rows], face)
+
+
+# of large problems a few torn vectors are most of the memory: none is kept beside its successor
+
+
+def _strained(
+    F: DualOperator, coarse_space: CoarseSpace, load: Vector, multipliers: Vector
+) -> Vector:
+    """Return K^+(f - B'lambda) without rigid motions.
+
+    What rounding leaves in the kernel of K would become a displacement, and the choice of K^+ would
+    show in its motions.
+    """
+    forces = F.constraint_forces(multipliers)
+    np.subtract(load, forces, out=forces)
+    forces = coarse_space.without_rigid_motion(forces)
+    strained = F.generalized_inverse(forces)
+    del forces
+    return coarse_space.without_rigid_motion(strained)
+
+
+def _moved(coarse_space: CoarseSpace, strained: Vector, alpha: Vector) -> Vector:
+    """Return a displacement with the rigid motions R alpha added."""
+    moved = coarse_space.rigid_motion(alpha)
+    moved += strained
+    return moved
 
 
 def _motions(
@@ -148,12 +170,12 @@ def _motions(
     coarse_space = projector.coarse_space
     alpha = projector.coefficients(c - F.jumps(strained))
     # once more for what rounding has left
-    alpha += projector.coefficients(c - F.jumps(strained + coarse_space.rigid_motion(alpha)))
+    alpha += projector.coefficients(c - F.jumps(_moved(coarse_space, strained, alpha)))
     loose = LooseBodies.of(coarse_space, projector.face, projector.free_bodies)
     if loose is not None:
         if removed is not None:
             alpha += projector.without_free_motions(removed) - removed
-        gap = c - F.jumps(strained + coarse_space.rigid_motion(alpha))
+        gap = c - F.jumps(_moved(coarse_space, strained, alpha))
         alpha += _free_motions(projector, loose, gap, multipliers)
     return alpha
 
@@ -216,7 +238,9 @@ def close_constraints(
     # of a coupled row only all of its slip can be taken back
     closed |= friction.on_rows(slip.any(axis=1) & ~costly, closed.size)
     _close_coupled_rows(constraints, jump, correction, closed, rigid)
-    u: Vector = torn - F.constraint_forces(correction) / constraints.weights
+    u: Vector = F.constraint_forces(correction)
+    u /= constraints.weights
+    np.subtract(torn, u, out=u)
     return u, closed
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 from mpi4py import MPI
 
@@ -29,7 +31,7 @@ class RowBodies:
     bodies: int  # number over all ranks
     contacts: int  # number over all ranks
     of_subdomain: Numbers  # (subdomains,) body of each of this rank's subdomains
-    of_unknown: Numbers  # (n,) body of each of this rank's torn unknowns
+    ends: Numbers  # (subdomains + 1,) first torn unknown of each of them, and the end of the last
     row: Numbers  # (p,)
     body: Numbers  # (p,)
     tied: Numbers  # (2, q) pairs of bodies that tied and held rows of this rank connect
@@ -45,15 +47,20 @@ class RowBodies:
         """
         of_subdomain = system.bodies
         count = count_over_ranks(system.comm, of_subdomain)
-        of_unknown = np.repeat(of_subdomain, np.diff(ends))
-        row, body = _bodies_of_rows(constraints, constraints.inequality, of_unknown)
+        of_unknowns = partial(_bodies_of_unknowns, of_subdomain, ends)
+        of_rows = partial(_bodies_of_rows, constraints, of_unknowns)
+        row, body = of_rows(constraints.inequality)
         table = constraints.rows
         joined = np.append(table.where(Kind.TIED), table.where(Kind.HELD))
-        pairs = _pairs(*_bodies_of_rows(constraints, joined, of_unknown))
+        pairs = _pairs(*of_rows(joined))
         numbers = table.of(Kind.CONTACT, Kind.TANGENT).contact
         contacts = count_over_ranks(system.comm, numbers)
-        sites = _bodies_of_rows(constraints, constraints.friction.rows.max(axis=1), of_unknown)
-        return RowBodies(count, contacts, of_subdomain, of_unknown, row, body, pairs, *sites)
+        sites = of_rows(constraints.friction.rows.max(axis=1))
+        return RowBodies(count, contacts, of_subdomain, ends, row, body, pairs, *sites)
+
+    def of_unknowns(self, unknowns: Numbers) -> Numbers:
+        """Return the bodies of torn unknowns of this rank."""
+        return _bodies_of_unknowns(self.of_subdomain, self.ends, unknowns)
 
     def groups(self, comm: MPI.Intracomm, closed: Mask, with_force: Mask) -> Numbers:
         """Return the group of each body. Collective.
@@ -100,13 +107,19 @@ class RowBodies:
         return body
 
 
+def _bodies_of_unknowns(of_subdomain: Numbers, ends: Numbers, unknowns: Numbers) -> Numbers:
+    """Return the bodies of torn unknowns, by those of subdomains."""
+    of_unknown: Numbers = of_subdomain[np.searchsorted(ends, unknowns, side="right") - 1]
+    return of_unknown
+
+
 def _bodies_of_rows(
-    constraints: Constraints, rows: Numbers, of_unknown: Numbers
+    constraints: Constraints, of_unknowns: Callable[[Numbers], Numbers], rows: Numbers
 ) -> tuple[Numbers, Numbers]:
     """Return the positions in `rows`, ascending, and the bodies of each, of all ranks."""
     numbers = constraints.layout.numbers[rows]
     entries = constraints.matrix[rows].tocoo()
-    own = np.unique(np.stack([numbers[entries.row], of_unknown[entries.col]]), axis=1)
+    own = np.unique(np.stack([numbers[entries.row], of_unknowns(entries.col)]), axis=1)
     directory = Directory(constraints.layout.comm, numbers)
     number, body = np.unique(np.stack(directory.forward(*own)), axis=1)
     order = np.argsort(numbers, kind="stable")
@@ -138,7 +151,9 @@ def without_unloaded_groups(
     becomes small. G lambda = e remains true. Collective.
     """
     comm, layout = constraints.layout.comm, constraints.layout
-    of_body = np.bincount(row_bodies.of_unknown[load != 0.0], minlength=row_bodies.bodies)
+    parts = np.split(load, row_bodies.ends[1:-1]) if row_bodies.of_subdomain.size else []
+    has_load = np.array([part.any() for part in parts], dtype=bool)
+    of_body = np.bincount(row_bodies.of_subdomain[has_load], minlength=row_bodies.bodies)
     loaded = layout.space.sum_over_ranks(of_body.astype(float))
     if loaded.all():
         return multipliers
@@ -147,10 +162,11 @@ def without_unloaded_groups(
     if springs is not None:
         connecting |= springs.pulling
     group = row_bodies.groups(comm, connecting, with_force)
-    matrix, of_unknown = constraints.matrix, row_bodies.of_unknown
+    matrix = constraints.matrix
     rows = np.flatnonzero(np.diff(matrix.indptr))
     # all bodies of a row with a force are of one group
-    row_group = group[of_unknown[matrix.indices[matrix.indptr[rows]]]]
+    first = matrix.indices[matrix.indptr[rows]]
+    row_group = group[row_bodies.of_unknowns(first)]
     size = int(group.max(initial=-1)) + 1
     owned = rows < layout.owned
     works = np.bincount(row_group[owned], (c * multipliers)[rows[owned]], size)

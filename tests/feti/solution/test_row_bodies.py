@@ -48,7 +48,7 @@ def changed_rows(system, force_of_walls=0.0):
     found = without_unloaded_groups(constraints, bodies, load, c, multipliers)
     lost = found == 0.0
     np.testing.assert_array_equal(found[~lost], multipliers[~lost])
-    of_row = bodies.of_unknown[constraints.matrix.indices[constraints.matrix.indptr[:-1]]]
+    of_row = bodies.of_unknowns(constraints.matrix.indices[constraints.matrix.indptr[:-1]])
     moved = multipliers != 0.0
     return set(of_row[lost & moved]), set(of_row[~lost])
 
