@@ -17,6 +17,7 @@ from fenics_tfeti.errors import (
     InputError,
     Interrupted,
     NotConverged,
+    OutOfMemory,
     UnresistedMotion,
     UnstableTangent,
     needs_fenicsx,
@@ -54,6 +55,7 @@ _LAZY = {
 __all__ = [
     "ContactError",
     "FactorizationError",
+    "OutOfMemory",
     "InputError",
     "Interrupted",
     "NotConverged",

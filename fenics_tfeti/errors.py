@@ -48,6 +48,10 @@ class FactorizationError(ContactError, RuntimeError):
     """A sparse Cholesky factor could not be computed."""
 
 
+class OutOfMemory(ContactError, MemoryError):
+    """There is not enough memory for a sparse factor."""
+
+
 class UnstableTangent(ContactError, RuntimeError):
     """The glued tangent is not positive: near buckling, or where only contact holds a body."""
 

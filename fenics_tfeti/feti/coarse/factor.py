@@ -29,6 +29,8 @@ _ENTRIES = 3.6
 _SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
 # collective calls of a solve by MUMPS, besides one for each rank; messages for each rank
 _COLLECTIVES, _MESSAGES = 86, 3
+# order from which a factor of the best ordering, a third smaller, is worth a tenth of time more
+_LARGE = 100_000
 # messages of a factorisation by MUMPS, in solves
 _MESSAGES_OF_FACTORISATION = 4
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
@@ -170,8 +172,10 @@ class CoarseLayout:
         Collective.
         """
         if self.solver == "redundant" or not self.size:
-            whole = sparse_cholesky(rows.tocsr(), self.package, quick=True) if self.size else None
-            return CoarseFactor(self, whole)
+            if not self.size:
+                return CoarseFactor(self, None)
+            is_quick = self.size < _LARGE
+            return CoarseFactor(self, sparse_cholesky(rows.tocsr(), self.package, is_quick))
         return CoarseFactor(self, AgglomeratedCholesky(self.comm, rows, self.groups), by_rows=True)
 
 

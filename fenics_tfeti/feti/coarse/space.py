@@ -74,12 +74,15 @@ class CoarseSpace:
         ends = np.cumsum([0, *(R.shape[1] for R in kernels)])
         first, size = first_of_rank(system.comm, int(ends[-1]))
         # G' with this rank's rows of G as columns, then with those of all
-        own = (interface.matrix @ _packed_kernels(interface, kernels, ends)).tocsr()
-        everyone = constraints.layout.sum_sparse(
-            sp.csr_matrix((own.data, own.indices + first, own.indptr), (own.shape[0], size))
-        )
-        equality = constraints.equality
-        rows = (own[equality].T.tocsr() @ everyone[equality]).tocsr()
+        own = _trimmed((interface.matrix @ _packed_kernels(interface, kernels, ends)).tocsr())
+        everyone = own
+        if system.comm.size > 1:
+            among_all = (own.data, own.indices + first, own.indptr), (own.shape[0], size)
+            everyone = constraints.layout.sum_sparse(sp.csr_matrix(*among_all))
+        glued = own[constraints.equality]
+        glued_everyone = glued if everyone is own else everyone[constraints.equality]
+        rows = (glued.T.tocsr() @ glued_everyone).tocsr()
+        del glued, glued_everyone
         own_columns = (everyone.indices >= first) & (everyone.indices < first + ends[-1])
         others = np.unique(everyone.indices[~own_columns])
         if solver == "auto":
@@ -271,6 +274,13 @@ def _chosen_rows(rows: Numbers, size: int) -> sp.csr_matrix:
     diagonal = np.zeros(size)
     diagonal[rows] = 1.0
     return sp.diags(diagonal, format="csr")
+
+
+def _trimmed(matrix: sp.csr_matrix) -> sp.csr_matrix:
+    """Return a product in arrays of its size: SciPy's have room for entries that are zero."""
+    entries = matrix.nnz
+    parts = matrix.data[:entries].copy(), matrix.indices[:entries].copy(), matrix.indptr
+    return sp.csr_matrix(parts, matrix.shape)
 
 
 def _packed_kernels(

@@ -26,6 +26,7 @@ from fenics_tfeti.feti.factors.supernodal import (
     NotDefinite,
     Ordering,
     SupernodalFactor,
+    out_of_memory,
 )
 from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.typing import Numbers, Operator, Vector
@@ -116,6 +117,9 @@ _PRINT = "mat_cholmod_print"
 _COMMUNICATORS = 16
 # numbers of MUMPS' INFOG
 _ERROR, _NEGATIVE_PIVOTS = 1, 12
+# what packages say where an allocation has failed: PETSc's number, the end of its text for that of
+# CHOLMOD, and INFOG(1) of MUMPS
+_NO_MEMORY, _CHOLMOD_NO_MEMORY, _MUMPS_NO_MEMORY = 55, "status -2", -13
 # INFOG(1) where the workspace is too small, and what is tried as ICNTL(14), the increase of its
 # estimate in per cent: with the default of 20 definite matrices fail on three ranks
 _TOO_SMALL, _WORKSPACES = (-8, -9), (100, 400, 1600)
@@ -397,6 +401,8 @@ class _PetscFactor:
                 pc.setUp()
             self._factor = pc.getFactorMatrix()
         except PETSc.Error as error:
+            if error.ierr == _NO_MEMORY or str(error).endswith(_CHOLMOD_NO_MEMORY):
+                raise out_of_memory(package, matrix.shape[0]) from error
             raise _Unusable(f"PETSc's error {error.ierr}") from error
         finally:
             # the factor outlives the PC and the matrix
@@ -406,6 +412,8 @@ class _PetscFactor:
         weakref.finalize(self, _destroy, self._factor, self._x, self._b).atexit = False
         if package == "mumps":
             status, self.negative = map(self._factor.getMumpsInfog, (_ERROR, _NEGATIVE_PIVOTS))
+            if status == _MUMPS_NO_MEMORY:
+                raise out_of_memory(package, matrix.shape[0])
             if status < 0:
                 raise _Unusable(f"INFOG(1) is {status}")
 
@@ -523,6 +531,8 @@ class DistributedCholesky:
             _destroy(pc, A)
 
     def _reject_indefinite(self, A: PETSc.Mat) -> None:
+        if self._factor.getMumpsInfog(_ERROR) == _MUMPS_NO_MEMORY:
+            raise out_of_memory("mumps", A.size[0])
         probe, b = self._x.duplicate(), self._b.duplicate()
         begin, end = probe.getOwnershipRange()
         probe.array_w[:] = np.sin(np.arange(begin, end) + 1.0)

@@ -342,7 +342,7 @@ static int factorize(cholmod_sparse *A, cholmod_factor *L, double spring, int *h
 
 /* The factor of a symmetric matrix with both triangles and sorted rows, and the place (n,) of each
    unknown in it; NULL if the matrix is not positive definite with the springs, see above, or without
-   memory. The ordering (n,) is that of a similar matrix if it leads to at most `*most` entries; else
+   memory: `sizes` has 1 or 0 first then. The ordering (n,) is that of a similar matrix if it leads to at most `*most` entries; else
    it is found, and `*most` becomes the number of entries. */
 Factor *supernodal_factor(int n, int *start, int *index, double *value, int width, int methods,
                           double *most, int *ordering, int *place, long *sizes, double spring,
@@ -371,6 +371,8 @@ Factor *supernodal_factor(int n, int *start, int *index, double *value, int widt
   for (int i = 0; done && i < n; i++)
     place[((int *)F->L->Perm)[i]] = i;
   cholmod_finish(&common);
+  if (!done)
+    sizes[0] = F && F->L && F->L->minor < F->L->n;
   if (!done && F)
     supernodal_free(F);
   return done ? F : NULL;

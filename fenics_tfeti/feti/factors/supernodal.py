@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from fenics_tfeti.compiled import pointer
+from fenics_tfeti.errors import OutOfMemory
 from fenics_tfeti.feti.factors.threads import one_thread
 from fenics_tfeti.feti.tolerances import rounding
 from fenics_tfeti.typing import Indices, Numbers, Operator, Vector
@@ -23,7 +24,16 @@ _SIMILAR = 1.2
 
 
 class NotDefinite(Exception):
-    """CHOLMOD has met a pivot that is not positive, or no memory."""
+    """CHOLMOD has met a pivot that is not positive."""
+
+
+def out_of_memory(package: str, order: int) -> OutOfMemory:
+    """Return the error that there is no memory for a factor of a matrix."""
+    return OutOfMemory(
+        f"there is not enough memory for the factor of a matrix of order {order} by {package}. "
+        "Take more ranks on more machines; without them, subdomains with fewer unknowns "
+        "('subdomain_size') have smaller factors, and larger ones a smaller coarse problem"
+    )
 
 
 class Ordering:
@@ -98,6 +108,8 @@ class SupernodalFactor:
         self.held: Indices = held[: count.value]
         is_new = limit.value != _SIMILAR * entries
         last.keep(of, ordering, limit.value if is_new else entries, self.held)
+        if not address and not figures[0]:
+            raise out_of_memory("cholmod", size)
         if not address:
             raise NotDefinite("a pivot is not positive")
         self._factor = ctypes.c_void_p(address)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import sys
 
 from mpi4py import MPI
 
@@ -11,6 +12,7 @@ from petsc4py import PETSc
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from new_process import run_python
 
 from fenics_tfeti import FactorizationError, InputError
 from fenics_tfeti.feti.factors import cholesky
@@ -276,3 +278,30 @@ def test_downdated_factor_needs_compiled_solves(monkeypatch):
     monkeypatch.setattr(cholesky, "supernodal_library", lambda: (None, "no compiler"))
     with pytest.raises(FactorizationError, match="compiled solves"):
         downdated_cholesky(definite(), np.zeros((N, 0)), "cholmod")
+
+
+WITHOUT_MEMORY = """
+import resource, sys
+import numpy as np, scipy.sparse as sp
+from fenics_tfeti import OutOfMemory
+from fenics_tfeti.feti.factors.cholesky import sparse_cholesky
+
+package, quick = sys.argv[1], sys.argv[2] == "quick"
+T, I = sp.diags([-1, 2.1, -1], [-1, 0, 1], shape=(32, 32)), sp.identity(32)
+A = sum(sp.kron(sp.kron(a, b), c) for a, b, c in ((T, I, I), (I, T, I), (I, I, T))).tocsr()
+sparse_cholesky(2 * sp.identity(100, format="csr"), package, quick)
+used = int(open("/proc/self/statm").read().split()[0]) * resource.getpagesize()
+resource.setrlimit(resource.RLIMIT_AS, (used + 2**24, resource.RLIM_INFINITY))
+try:
+    sparse_cholesky(A, package, quick)
+except OutOfMemory as error:
+    print(error)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits on memory are those of Linux")
+@pytest.mark.parametrize("kind", ["quick", "whole"])
+@pytest.mark.parametrize("package", sorted({"cholmod", "mumps"} & {*available_packages()}))
+def test_factor_without_memory_is_told(package, kind):
+    message = f"there is not enough memory for the factor of a matrix of order 32768 by {package}"
+    assert message in run_python(WITHOUT_MEMORY, package, kind)
