@@ -28,11 +28,11 @@ class ContactOptions:
         Options of Total FETI, given by their names in the same mapping.
     subdomain_size : int
         Unknowns of a subdomain that the partition aims at.
-    partitioner : {"auto", "scotch", "bisection"}
-        Subdomains by the graph partitioner SCOTCH, or by cuts across the longest axes. "auto" makes
-        blocks where the nodes of a body (of the part of it that a rank has) are a grid along the
-        axes, since equal ones share their factors, and bisects bodies of 50,000 cells or more,
-        unless they are coiled.
+    partitioner : {"auto", "scotch", "slabs"}
+        Subdomains by the graph partitioner SCOTCH, or by cuts across the longest axes, of a number
+        that makes them round. "auto" makes blocks where the nodes of a body (of the part of it that
+        a rank has) are a grid along the axes, since equal ones share their factors, else whichever
+        is rounder: slabs, or the parts of SCOTCH after they have been rounded.
     units : {"SI", "mm-N-MPa"}
         Units of the mesh, the loads and the material, which reports and their pages write beside
         numbers; of forces in plane problems they are per unit of length.

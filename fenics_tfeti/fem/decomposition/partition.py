@@ -14,20 +14,20 @@ from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.decomposition.bisection import bisect
 from fenics_tfeti.fem.decomposition.bodies import Bodies, components, groups
 from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.decomposition.round_parts import cut_into_slabs, mean_aspect, rounded
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Indices, Numbers, Vector
 
 logger = logging.getLogger(__name__)
 
-Partitioner = Literal["auto", "scotch", "bisection"]
+Partitioner = Literal["auto", "scotch", "slabs"]
 
-# cells from which on SCOTCH takes a tenth of a solve; it makes 1.7 % fewer copies of nodes
-MANY_CELLS = 50_000
+# mean aspect of slabs that are round enough: no others are tried
+_ROUND = 1.2
 
 
 def split_into_subdomains(
@@ -39,11 +39,11 @@ def split_into_subdomains(
 ) -> list[Indices]:
     """Split this rank's cells, body by body, into connected subdomains of about so many unknowns.
 
-    "scotch" partitions the graph of the cells, "bisection" cuts across the longest axes. "auto"
-    cuts into blocks where the nodes of this rank's cells of a body form a grid along the axes,
-    bisects bodies of many cells that planes do not cut into more parts than intended, and leaves
-    all else to SCOTCH. Bodies that are images of each other are cut equally. Where they are known,
-    `x` are the coordinates (dofs, 3) of the blocked degrees of freedom [m].
+    "scotch" partitions the graph of the cells, "slabs" cuts across the longest axes. "auto" cuts
+    into blocks where the nodes of this rank's cells of a body form a grid along the axes, else into
+    slabs or into the parts of SCOTCH, as they are or rounded: whichever are roundest in the mean.
+    Bodies that are images of each other are cut equally. Where they are known, `x` are the
+    coordinates (dofs, 3) of the blocked degrees of freedom [m].
     """
     block = space.dofmap.index_map_bs
     subdomains: list[Indices] = []
@@ -79,13 +79,22 @@ def _cut(
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
-    if partitioner == "bisection" or (partitioner == "auto" and cells.size >= MANY_CELLS):
-        # by corners: faster than sums of short rows
-        midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
-        label = bisect(graph, midpoints, count)
-        # planes that cut parts in two, of a coiled body, also cut it lengthwise
-        if partitioner == "bisection" or label.max() < count:
-            return label
+    if partitioner == "scotch":
+        return _by_scotch(graph, count)
+    # by corners: faster than sums of short rows
+    midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
+    slabs = cut_into_slabs(graph, midpoints, count)
+    if partitioner == "slabs" or (aspect := mean_aspect(graph, midpoints, slabs)) < _ROUND:
+        return slabs
+    small = _by_scotch(graph, count)
+    # rounding mixes what is near each other, such as the turns of a coil
+    others = small, rounded(graph, midpoints, small)
+    aspects = [aspect, *(mean_aspect(graph, midpoints, label) for label in others)]
+    return (slabs, *others)[int(np.argmin(aspects))]
+
+
+def _by_scotch(graph: sp.csr_matrix, count: int) -> Numbers:
+    """Return connected parts with small interfaces."""
     label = _compat.partition_graph(graph.indptr, graph.indices, count).astype(np.int64)
     return components(graph, label)[1]
 

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.sparse.csgraph import connected_components
 
-from fenics_tfeti.fem.decomposition import partition
+from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.decomposition.partition import as_subdomains, split_into_subdomains
 from fenics_tfeti.fem.decomposition.parts import number_parts
+from fenics_tfeti.fem.decomposition.round_parts import mean_aspect
 from fenics_tfeti.io import Box, boxes, displacement_space
 
 
@@ -47,25 +48,30 @@ def same(one, other):
     return len(one) == len(other) and all(map(np.array_equal, one, other))
 
 
-def test_many_cells_are_bisected(monkeypatch):
+def test_boxes_are_cut_into_slabs():
+    """Of a mesh that is no grid."""
     mesh = cube(7, "tetrahedron")
-    mesh.geometry.x[:] += 0.1 * np.sin(9 * mesh.geometry.x[:, [1, 2, 0]])
-    assert same(split(mesh, 300), split(mesh, 300, "scotch"))
-    monkeypatch.setattr(partition, "MANY_CELLS", 6 * 7**3)
-    many = split(mesh, 300)
-    assert same(many, split(mesh, 300, "bisection"))
-    assert not same(many, split(mesh, 300, "scotch"))
+    mesh.geometry.x[:] += 0.02 * np.sin(9 * mesh.geometry.x[:, [1, 2, 0]])
+    assert same(split(mesh, 300), split(mesh, 300, "slabs"))
+    assert not same(split(mesh, 300), split(mesh, 300, "scotch"))
 
 
-def test_bodies_that_planes_cut_in_pieces_are_left_to_scotch(monkeypatch):
-    monkeypatch.setattr(partition, "MANY_CELLS", 100)
+def test_bodies_that_planes_cut_badly_have_rounder_parts():
     mesh = spring(4)
-    many = split(mesh, 300)
-    assert same(many, split(mesh, 300, "scotch"))
-    assert len(split(mesh, 300, "bisection")) > len(many)
+    bodies = find_bodies(mesh, None)
+    midpoints = mesh.geometry.x[_compat.geometry_cells(mesh), :2].mean(axis=1)
+
+    def aspect(partitioner):
+        label = np.empty(len(midpoints), dtype=np.int64)
+        for number, cells in enumerate(split(mesh, 300, partitioner)):
+            label[cells] = number
+        return mean_aspect(bodies.graph, midpoints, label)
+
+    chosen, slabs = aspect("auto"), aspect("slabs")
+    assert chosen < slabs and chosen < 1.1 * aspect("scotch")
 
 
-@pytest.mark.parametrize("partitioner", ["auto", "scotch", "bisection"])
+@pytest.mark.parametrize("partitioner", ["auto", "scotch", "slabs"])
 def test_subdomains_are_connected_and_cover_all_cells(partitioner):
     mesh = cube(9)
     parts = split(mesh, 600, partitioner)
