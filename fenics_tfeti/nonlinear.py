@@ -38,8 +38,14 @@ from fenics_tfeti.newton.stability import instability
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet, raise_collectively
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.sensitivities.at_finite_strains import TangentAtFiniteStrains
-from fenics_tfeti.sensitivities.forms import FormsAtSolution
+from fenics_tfeti.sensitivities.adjoint import Functional, form_and_forces
+from fenics_tfeti.sensitivities.at_finite_strains import (
+    AdjointAtFiniteStrains,
+    LastState,
+    TangentAtFiniteStrains,
+    check_as_solved,
+)
+from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_functional
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
@@ -152,6 +158,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         )
         self._instability: list[str] = []
         self._end: tuple[LoadCase, NewtonState] | None = None  # of the last solve
+        self._last_state: LastState | None = None  # of the last derivatives
         self._gradients = CellGradients(self.space)
         ratios = list(compressibility(self._torn.torn.subdomains).values())
         largest = largest_of_ranks(self.space.mesh.comm, ratios) or 1.0
@@ -337,20 +344,70 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         ------
         InputError
             The problem is not solved, or has changed since; a rigid body or a bolt has motions.
+        NotConverged
+            The tolerance was not reached.
 
         Examples
         --------
         >>> tangent = problem.tangent({E: 1e6, pressure: -1e3})  # doctest: +SKIP
         >>> tangent.u, tangent.nodal_normal_force("joint")  # doctest: +SKIP
         """
+        forms, last = self._state_for_derivatives(None)
+        return TangentAtFiniteStrains(forms, last, data, rtol)
+
+    def adjoint(
+        self,
+        J: ufl.Form | Mapping[str | int, Any] | None = None,
+        *,
+        forces: Mapping[str | int, Any] | None = None,
+        normal_forces: Mapping[str | int, Any] | None = None,
+        rtol: float = 1e-8,
+    ) -> AdjointAtFiniteStrains:
+        """Return the derivatives of a functional of the solution by the data. Collective.
+
+        It is `tangent` transposed: one linear solve, whatever the number of parameters.
+
+        Parameters
+        ----------
+        J, forces, normal_forces
+            As of `ContactProblem.adjoint`, of the present surfaces.
+        rtol : float
+            Part of the right-hand side that GMRES leaves.
+
+        Returns
+        -------
+        AdjointAtFiniteStrains
+            Its methods give the derivatives.
+
+        Raises
+        ------
+        InputError
+            As `tangent`; J is not a functional.
+        NotConverged
+            The tolerance was not reached.
+
+        Examples
+        --------
+        >>> adjoint = problem.adjoint(ufl.dot(u, u) * ufl.dx)  # doctest: +SKIP
+        >>> adjoint.by(E), adjoint.by(pressure)  # doctest: +SKIP
+        """
+        J, forces = form_and_forces(J, forces)
+        forms, last = self._state_for_derivatives(J)
+        functional = Functional.of(forms, last.contact_set, forces, normal_forces or {})
+        return AdjointAtFiniteStrains(forms, last, functional, rtol)
+
+    def _state_for_derivatives(self, J: ufl.Form | None) -> tuple[FormsAtSolution, LastState]:
+        """Return the forms, with J, and the last state with its derivative. Collective."""
         with raise_collectively(self.space.mesh.comm):
             if self._end is None or not (self._is_solved and self.report.converged):
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
-        load_case, state = self._end
-        forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, None, self.u)
-        tangent = TangentAtFiniteStrains(forms, load_case, self._iteration, state, data, rtol)
-        self._solver = self._iteration.solver
-        return tangent
+            check_functional(J, self.u)
+        end, forms = self._end, self._torn.torn.forms.linear.form
+        check_as_solved(*end)
+        if self._last_state is None or self._last_state.state is not end[1]:
+            self._last_state = LastState.of(*end, self._iteration, lambda: self._end is end)
+            self._solver = self._iteration.solver
+        return FormsAtSolution(None, forms, J, self.u), self._last_state
 
     def _solve(
         self,

@@ -35,7 +35,7 @@ from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.report import ContactReport
-from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional
+from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional, form_and_forces
 from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_functional
 from fenics_tfeti.sensitivities.state import SolvedState
 from fenics_tfeti.sensitivities.tangent import Change, Tangent
@@ -326,12 +326,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
         >>> adjoint.by(E), adjoint.by_gap("joint")  # doctest: +SKIP
         >>> problem.adjoint(forces={"joint": (0.0, 1.0)}).by(traction)  # doctest: +SKIP
         """
-        forces = dict(forces or {})
-        if isinstance(J, Mapping):
-            forces.update(J)
-            J = None
+        J, forces = form_and_forces(J, forces)
         state = self._state_for_derivatives(J)
-        functional = Functional.of(state, forces, normal_forces or {})
+        functional = Functional.of(state.forms, state.contact_set, forces, normal_forces or {})
         return Adjoint(state, functional, self.options.solver.rtol if rtol is None else rtol)
 
     def tangent(

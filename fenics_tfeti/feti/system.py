@@ -144,12 +144,13 @@ class Subdomain:
         """Number of unknowns."""
         return int(self.load.size)
 
-    def stiffness_times(self, u: Vector) -> Vector:
-        """Return K_i u, whatever the frame of the stiffness [N]."""
+    def stiffness_times(self, u: Vector, transposed: bool = False) -> Vector:
+        """Return K_i u or K_i'u, whatever the frame of the stiffness [N]."""
+        stiffness = self.stiffness.T if transposed else self.stiffness
         if self.frame is None:
-            return np.asarray(self.stiffness @ u)
+            return np.asarray(stiffness @ u)
         turned = (u.reshape(-1, len(self.frame)) @ self.frame).ravel()
-        return ((self.stiffness @ turned).reshape(-1, len(self.frame)) @ self.frame.T).ravel()
+        return ((stiffness @ turned).reshape(-1, len(self.frame)) @ self.frame.T).ravel()
 
     @property
     def coordinates_in_frame(self) -> Vector:

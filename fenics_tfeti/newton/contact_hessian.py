@@ -20,8 +20,6 @@ from functools import cached_property
 
 import numpy as np
 
-from dolfinx.fem import Function
-
 from fenics_tfeti.fem.contact.conditions.contact_conditions import row_values
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.feti import Subdomain
@@ -209,44 +207,17 @@ class ContactHessian:
         begin = self.face.rows.contact_set.bodies.motions
         return self._improved(first, right, balance[1], begin, (rtol, size, negligible))
 
-    def response(
-        self,
-        load: Vector,
-        gap: Vector,
-        tied_gap: Vector,
-        beyond: Vector,
-        *,
-        prescribed: Function | None = None,
-        rtol: float = _ALONG,
-    ) -> Change:
+    def response(self, load: Vector, gap: Vector, tied_gap: Vector, beyond: Vector) -> Change:
         """Return the changes along changes of loads and gaps. Collective.
 
         Loads (owned, gdim) are at the mesh's nodes, those beyond them at bodies; gaps are those of
-        the face's `contacts` and ties. What is prescribed, zero at free nodes, is not part of the
-        result. GMRES leaves the part `rtol` of the right-hand side, or what it can.
+        the face's `contacts` and ties. GMRES leaves a small part of the right-hand side, or what it
+        can.
         """
         right = self._flat(load, gap, tied_gap, beyond)
-        if prescribed is not None:
-            right = right - self._of_prescribed(prescribed, np.zeros_like(beyond))
         first = self._solution(self._data(right)[0], _INNER)
-        accuracy = (rtol, self._space.norm(right), 0.0)
+        accuracy = (_ALONG, self._space.norm(right), 0.0)
         return self._improved(first, right, beyond, self._at_rest, accuracy).change
-
-    def _of_prescribed(self, prescribed: Function, beyond: Vector) -> Vector:
-        """Return what prescribed displacements do to forces and gaps, as `times`. Collective."""
-        torn = self.load_case.torn
-        values, nodes = torn.nodes.values(prescribed), torn.nodes
-        displacements = [
-            values[nodes.to_local(s.nodes)].ravel()
-            if s.nodes[0] < nodes.total
-            else np.zeros(s.size)
-            for s in self.used
-        ]
-        none = RowValues.zeros(self.linear.system)
-        change = Change(displacements, none)
-        length = _LONGEST * self.load_case.rounding.extent
-        no_change = np.zeros(self.face.held.size)
-        return self.times(change, no_change, self._at_rest, length, beyond)
 
     @property
     def _at_rest(self) -> list[Vector]:

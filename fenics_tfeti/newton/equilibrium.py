@@ -133,18 +133,8 @@ class DeformedRows:
 
         With it that at the nodes (b, gdim) beyond those of the mesh, of rigid bodies and bolts.
         """
-        nodes, site = self.contact_set.boundary.nodes, self.friction.row
-        normal = self.normal_forces(multipliers)
-        terms = [(self.contacts, normal), (self.tied, multipliers.tied)]
-        if site.size:
-            terms.append((self._tangential_rows, self.friction_forces(multipliers).ravel()))
-        at = np.concatenate([rows.nodes for rows, _ in terms])
-        forces = np.concatenate(
-            [
-                (values / rows.length)[rows.row][:, None] * rows.coefficients
-                for rows, values in terms
-            ]
-        )
+        nodes = self.contact_set.boundary.nodes
+        _, at, forces = self.force_terms(multipliers)
         in_mesh = at < nodes.total
         last = nodes.comm.allreduce(int(at.max(initial=-1)), MPI.MAX)
         corners = len(self.contact_set.bodies.free_displacements(nodes.total))
@@ -152,6 +142,23 @@ class DeformedRows:
         np.add.at(beyond, at[~in_mesh] - nodes.total, forces[~in_mesh])
         nodes.comm.Allreduce(MPI.IN_PLACE, beyond)
         return nodes.reduce_at_owners(at[in_mesh], forces[in_mesh]), beyond
+
+    def force_terms(self, multipliers: Multipliers) -> tuple[Numbers, Numbers, Vector]:
+        """Return rows (t,), of contacts and then of ties, their nodes, and forces (t, gdim) [N]."""
+        site, normal = self.friction.row, self.normal_forces(multipliers)
+        parts = [
+            (self.contacts, normal, np.arange(normal.size)),
+            (self.tied, multipliers.tied, normal.size + np.arange(self.tied.size)),
+        ]
+        if site.size:
+            friction = self.friction_forces(multipliers)
+            parts.append((self._tangential_rows, friction.ravel(), site.repeat(friction.shape[1])))
+        forces = [(p / rows.length)[rows.row][:, None] * rows.coefficients for rows, p, _ in parts]
+        return (
+            np.concatenate([number[rows.row] for rows, _, number in parts]),
+            np.concatenate([rows.nodes for rows, _, _ in parts]),
+            np.concatenate(forces),
+        )
 
 
 @dataclass(frozen=True)

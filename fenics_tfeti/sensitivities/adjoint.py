@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
+import ufl
 from dolfinx.fem import Constant, Function
 from dolfinx.mesh import Mesh
 
 from fenics_tfeti.errors import InputError, UnresistedMotion
-from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.contact_set import (
     ContactSet,
 )
@@ -29,11 +30,8 @@ from fenics_tfeti.parallel import (
     raise_collectively,
 )
 from fenics_tfeti.sensitivities.forms import (
-    by_constant,
-    by_function,
+    FormsAtSolution,
     by_places,
-    check_dependence,
-    check_parameter,
     node_changes,
     places_space,
 )
@@ -42,8 +40,12 @@ from fenics_tfeti.sensitivities.row_supports import (
     derivative_by_places,
     largest_distortion,
 )
-from fenics_tfeti.sensitivities.state import SolvedState
-from fenics_tfeti.sensitivities.supports import prescribed_entries
+from fenics_tfeti.sensitivities.state import (
+    SolvedState,
+    sides_of_contact,
+    weights_of_contact,
+)
+from fenics_tfeti.sensitivities.supports import derivative_by
 from fenics_tfeti.typing import Vector
 
 
@@ -57,27 +59,41 @@ class Functional:
 
     @staticmethod
     def of(
-        state: SolvedState, forces: Mapping[str | int, Any], normal_forces: Mapping[str | int, Any]
+        forms: FormsAtSolution,
+        contact_set: ContactSet,
+        forces: Mapping[str | int, Any],
+        normal_forces: Mapping[str | int, Any],
     ) -> Functional:
-        """Return that of the state's J and of weighted forces by contact. Collective."""
-        gdim = state.torn.nodes.components
-        normal = state.zeros().normal
-        force = np.zeros((normal.size, gdim))
-        with raise_collectively(state.torn.nodes.comm):
+        """Return that of the J of forms and of weighted forces by contact. Collective."""
+        nodes, rows = contact_set.boundary.nodes, sum(map(len, contact_set.positions))
+        normal, force = np.zeros(rows), np.zeros((rows, nodes.components))
+        with raise_collectively(nodes.comm):
             for name, given in normal_forces.items():
-                own, weights = state.weights(name, given, (), f"normal_forces[{name!r}]")
+                label = f"normal_forces[{name!r}]"
+                own, weights = weights_of_contact(contact_set, name, given, (), label)
                 normal[own] += weights
             for name, given in forces.items():
-                own, weights = state.weights(name, given, (gdim,), f"forces[{name!r}]")
+                label, shape = f"forces[{name!r}]", (nodes.components,)
+                own, weights = weights_of_contact(contact_set, name, given, shape, label)
                 # the rows' forces are against the normals and tangents of the slave that is used
-                force[own] -= weights * state.sides(name)[:, None]
-        return Functional(state.forms.derivative_of_J(), normal, force)
+                force[own] -= weights * sides_of_contact(contact_set, name)[:, None]
+        return Functional(forms.derivative_of_J(), normal, force)
 
     def by_forces(self, normals: Vector, friction: Friction) -> RowValues:
         """Return dJ by normal forces and by friction forces along the tangents."""
         by_normal = self.normal + np.sum(normals * self.force, axis=1)
         by_friction = np.einsum("kta,ka->kt", friction.tangents, self.force[friction.row])
         return RowValues(by_normal, by_friction, np.zeros(0))
+
+
+def form_and_forces(
+    J: ufl.Form | Mapping[str | int, Any] | None, forces: Mapping[str | int, Any] | None
+) -> tuple[ufl.Form | None, dict[str | int, Any]]:
+    """Return a form, and forces by contact, of a J that may be either."""
+    given = dict(forces or {})
+    if isinstance(J, Mapping):
+        return None, given | dict(J)
+    return J, given
 
 
 class Adjoint:
@@ -167,23 +183,9 @@ class Adjoint:
             If nothing depends on m, or the problem has changed since.
         """
         self._state.check_current()
-        state, space = self._state, self._state.forms.u.function_space
-        check_parameter(m)
-        bcs = state.torn.bcs
-        dofs, entries = prescribed_entries(space, bcs, state.contact_set.prescribed, m)
-        is_support = any_rank(space.mesh.comm, [dofs.size > 0])
-        check_dependence(m, is_support or state.forms.depend_on(m))
-        reaction = self.by_supports() if is_support else np.zeros(0)
-        values = np.zeros(m.value.size if isinstance(m, Constant) else m.x.array.size)
-        own = dofs < reaction.size
-        np.add.at(values, entries[own], reaction[dofs[own]])
-        work, stands = state.forms.work(self.z), state.forms.depend_on(m)
-        total: Vector
-        if isinstance(m, Constant):
-            total = space.mesh.comm.allreduce(values).reshape(m.ufl_shape)
-            return total + by_constant(work, m, space.mesh) if stands else total
-        total = _compat.summed_at_owners(values, m.function_space)
-        return total + by_function(work, m) if stands else total
+        state = self._state
+        supports = state.torn.bcs, state.contact_set.prescribed
+        return derivative_by(m, state.forms, self.z, supports, self.by_supports)
 
     def by_supports(self) -> Vector:
         """Return the derivatives (n,) of J by all prescribed displacements. Collective.
@@ -358,7 +360,9 @@ class Adjoint:
     def _by_all_nodes(self, domain: Mesh, step: float) -> Function:
         state, space = self._state, places_space(domain)
         rows_at = self._rows_on_moved_nodes(one_by_one=True)
-        of_rows = derivative_by_places(state.contact_set, space, rows_at, step)
+        of_rows = derivative_by_places(
+            state.contact_set, space, lambda change: sp.csr_matrix(rows_at(change)[:, None]), step
+        )
         of_forms = by_places(state.forms.work(self.z), domain)
         return fill_owned(Function(space, name="dJ/dx"), of_forms + of_rows.ravel())
 

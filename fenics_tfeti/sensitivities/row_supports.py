@@ -1,14 +1,16 @@
 """Which rows of contacts and ties depend on which nodes of the mesh.
 
 A derivative of every row by every node takes as many differences as there are groups of nodes of
-which no row depends on two: the nodes of a group are moved together.
+which no row depends on two: the nodes of a group are moved together. Nodes are those of the mesh,
+whose places change, or those of a displacement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -29,6 +31,9 @@ from fenics_tfeti.parallel import (
 )
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
+# moves of the nodes -> numbers of this rank's rows
+NumbersAt: TypeAlias = Callable[[Function], sp.csr_matrix]
+
 # normals at the corners of the facets around a row's nodes are means over the facets around these
 _RINGS = 2
 # difference between the derivatives of rows along a direction that is rounding, relative to the sum
@@ -40,7 +45,7 @@ _SAME_SLOPE = 1e-6
 class RowSupports:
     """The nodes on the boundary of the mesh that rows depend on."""
 
-    nodes: NodeMap  # of vectors at the mesh's nodes
+    nodes: NodeMap  # of vectors at nodes of the mesh, or of displacements
     numbers: Numbers  # (n,): global numbers of the nodes on the boundary, the same on all ranks
     size: Vector  # (n,): shortest edge there [m]
     near: sp.csr_matrix  # (n, n): nodes of common cells
@@ -48,11 +53,11 @@ class RowSupports:
     own: slice  # this rank's rows
 
     @staticmethod
-    def of(found: ContactSet, space: FunctionSpace) -> RowSupports:
+    def of(found: ContactSet, space: FunctionSpace, counts: Mask | None = None) -> RowSupports:
         """Return the supports of rows of contacts and then of ties. Collective.
 
-        The space is that of vectors at the mesh's nodes. What the boundary's cells are is gathered
-        on all ranks.
+        The space is that of vectors at the mesh's nodes, or of displacements. What the boundary's
+        cells are is gathered on all ranks. Of rows that do not count (rows,) nothing is known.
         """
         nodes, domain = NodeMap(space), space.mesh
         cells = _compat.cell_dofs(space)[: owned_cells(domain)]
@@ -61,6 +66,8 @@ class RowSupports:
         first_cell, _ = first_of_rank(nodes.comm, len(cells))
         of_cells = _gathered(nodes, cell + first_cell, cells[cell, corner])
         row, of_rows, count = _row_nodes(found, nodes, on_boundary)
+        if counts is not None:
+            row, of_rows = row[counts[row]], of_rows[counts[row]]
         first_row, total = first_of_rank(nodes.comm, count)
         rows = concatenate_ranks(nodes.comm, np.stack([row + first_row, of_rows], axis=1))
         numbers = np.unique(np.concatenate([of_cells[:, 1], rows[:, 1]]))
@@ -72,13 +79,12 @@ class RowSupports:
             )
         )
         size = np.zeros(numbers.size)
-        is_own = (numbers >= nodes.first) & (numbers < nodes.first + nodes.owned)
         shortest = nodes.reduced_over_cells(_shortest_edges(space), np.minimum)
-        size[is_own] = shortest[numbers[is_own] - nodes.first]
-        size = nodes.comm.allreduce(size)
         near = incidence.T @ incidence
         own = slice(first_row, first_row + count)
-        return RowSupports(nodes, numbers, size, near, all_rows, own)
+        supports = RowSupports(nodes, numbers, size, near, all_rows, own)
+        size[supports.here] = shortest[supports.owned]
+        return replace(supports, size=nodes.comm.allreduce(size))
 
     def widened(self, rings: int) -> RowSupports:
         """Return the supports with nodes of some more rings of cells."""
@@ -86,7 +92,7 @@ class RowSupports:
         for _ in range(rings):
             rows = rows @ self.near
             rows.data[:] = 1
-        return RowSupports(self.nodes, self.numbers, self.size, self.near, rows, self.own)
+        return replace(self, all_rows=rows)
 
     @cached_property
     def groups(self) -> Numbers:
@@ -101,6 +107,17 @@ class RowSupports:
                 group[node] = np.argmin(taken[:-1])
         return group
 
+    @cached_property
+    def here(self) -> Mask:
+        """Which of the nodes this rank owns, (n,)."""
+        own = self.numbers - self.nodes.first
+        return (own >= 0) & (own < self.nodes.owned)
+
+    @cached_property
+    def owned(self) -> Numbers:
+        """The local numbers of the nodes that this rank owns."""
+        return self.numbers[self.here] - self.nodes.first
+
     def moved(self, moves: Vector) -> Function:
         """Return the displacement of the mesh's nodes for those (n, gdim) of its boundary [m]."""
         function = Function(self.nodes.space)
@@ -110,69 +127,97 @@ class RowSupports:
         return function
 
 
+@dataclass(frozen=True)
+class RowDerivatives:
+    """Derivatives of numbers of this rank's rows by moves of nodes, one by one."""
+
+    row: Numbers  # (e,)
+    column: Numbers  # (e,): which of the row's numbers
+    unknown: Numbers  # (e,): gdim * position of the node in `RowSupports.numbers` + component
+    value: Vector  # (e,)
+
+    @staticmethod
+    def of(supports: RowSupports, numbers_at: NumbersAt, step: float, what: str) -> RowDerivatives:
+        """Return them by central differences. Collective.
+
+        `numbers_at` returns numbers of this rank's rows (rows, columns), all in the same unit, of
+        contacts and then of ties, after moves of the nodes; the step is relative to the shortest
+        edge at a node. Rows depend on more nodes as long as the derivatives along a direction
+        without a pattern differ.
+
+        Warns
+        -----
+        UserWarning
+            Derivatives of `what` disagree with that along a direction.
+        """
+        rings, comm = _RINGS, supports.nodes.comm
+        shape = supports.numbers.size, supports.nodes.components
+        steps = step * supports.size[:, None]
+        units = np.random.default_rng(1).uniform(-1.0, 1.0, shape)
+        along = _differences(supports, numbers_at, steps * units)
+        while True:
+            wide = supports.widened(rings)
+            found = _by_groups(wide, numbers_at, steps)
+            terms = found.value * (steps * units).ravel()[found.unknown]
+            of_terms = sp.coo_matrix((terms, (found.row, found.column)), along.shape)
+            sums = abs(along - of_terms.tocsr()).sum(), np.abs(terms).sum()
+            error, size = comm.allreduce(np.array(sums)).tolist()
+            if error <= _SAME_SLOPE * size:
+                return found
+            if wide.all_rows.nnz == supports.widened(rings + 1).all_rows.nnz:
+                warn_on_first_rank(
+                    comm,
+                    f"derivatives of {what} do not add up to that along a direction: they differ "
+                    f"by {error / size:.1e} of their magnitudes. Of nodes on the borders of both "
+                    "surfaces of a contact, J has derivatives of one side only; of others, a "
+                    "larger step may help",
+                )
+                return found
+            rings *= 2
+
+
 def derivative_by_places(
-    found: ContactSet,
-    space: FunctionSpace,
-    rows_at: Callable[[Function], Vector],
-    step: float,
+    found: ContactSet, space: FunctionSpace, numbers_at: NumbersAt, step: float
 ) -> Vector:
     """Return the derivative (owned, gdim) of the sum of numbers of rows by places. Collective.
 
-    `rows_at` returns numbers of this rank's rows (rows,), of contacts and then of ties, on nodes
-    after a displacement; the step is relative to the shortest edge at a node. Rows depend on more
-    nodes as long as the derivatives along a direction without a pattern differ.
+    The numbers (rows, 1), of contacts and then of ties, are those on nodes after a displacement.
     """
-    supports, rings = RowSupports.of(found, space), _RINGS
-    comm, shape = supports.nodes.comm, (supports.numbers.size, supports.nodes.components)
-    steps = step * supports.size[:, None]
-    units = np.random.default_rng(1).uniform(-1.0, 1.0, shape)
-    slope = comm.allreduce(_differences(supports, rows_at, steps * units).sum())
-    while True:
-        wide = supports.widened(rings)
-        slopes = _by_groups(wide, rows_at, steps)
-        terms = slopes * units
-        error, size = abs(terms.sum() - slope), np.abs(terms).sum()
-        if error <= _SAME_SLOPE * size:
-            break
-        if wide.all_rows.nnz == supports.widened(rings + 1).all_rows.nnz:
-            warn_on_first_rank(
-                comm,
-                "derivatives by the places of nodes do not add up to that along a direction: they "
-                f"differ by {error / size:.1e} of their magnitudes. Of nodes on the borders of "
-                "both surfaces of a contact, J has derivatives of one side only; of others, a "
-                "larger step may help",
-            )
-            break
-        rings *= 2
-    total = np.zeros((supports.nodes.owned, shape[1]))
-    own = supports.numbers - supports.nodes.first
-    here = (own >= 0) & (own < supports.nodes.owned)
-    total[own[here]] = (slopes / steps)[here]
+    supports = RowSupports.of(found, space)
+    nodes = supports.nodes
+    derivatives = RowDerivatives.of(supports, numbers_at, step, "J by the places of nodes")
+    size = supports.numbers.size * nodes.components
+    sums = np.bincount(derivatives.unknown, derivatives.value, size)
+    slopes = nodes.comm.allreduce(sums).reshape(-1, nodes.components)
+    total = np.zeros((nodes.owned, nodes.components))
+    total[supports.owned] = slopes[supports.here]
     return total
 
 
-def _by_groups(
-    supports: RowSupports, rows_at: Callable[[Function], Vector], steps: Vector
-) -> Vector:
-    """Return what the rows' numbers change by with steps (n, 1) of each node, (n, gdim)."""
+def _by_groups(supports: RowSupports, numbers_at: NumbersAt, steps: Vector) -> RowDerivatives:
+    """Return derivatives by differences with steps (n, 1) of each node. Collective."""
     groups, gdim = supports.groups, supports.nodes.components
-    slopes = np.zeros((groups.size, gdim))
-    own = supports.all_rows[supports.own].tocoo()
+    own, parts = supports.all_rows[supports.own].tocoo(), []
     for group in range(groups.max(initial=-1) + 1):
         of_group = groups[own.col] == group
-        rows, nodes = own.row[of_group], own.col[of_group]
+        node = np.full(supports.own.stop - supports.own.start, -1)
+        node[own.row[of_group]] = own.col[of_group]
         for axis in range(gdim):
             moves = np.zeros((groups.size, gdim))
             moves[groups == group, axis] = steps[groups == group, 0]
-            np.add.at(slopes[:, axis], nodes, _differences(supports, rows_at, moves)[rows])
-    return np.asarray(supports.nodes.comm.allreduce(slopes))
+            change = _differences(supports, numbers_at, moves).tocoo()
+            depends = node[change.row] >= 0
+            row, at = change.row[depends], node[change.row[depends]]
+            value = change.data[depends] / steps[at, 0]
+            parts.append((row, change.col[depends], gdim * at + axis, value))
+    none = np.zeros(0, dtype=np.int64)
+    parts.append((none, none, none, np.zeros(0)))
+    return RowDerivatives(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
 
-def _differences(
-    supports: RowSupports, rows_at: Callable[[Function], Vector], moves: Vector
-) -> Vector:
-    """Return central differences (rows,) along displacements (n, gdim) of the boundary's nodes."""
-    up, down = (rows_at(supports.moved(sign * moves)) for sign in (1.0, -1.0))
+def _differences(supports: RowSupports, numbers_at: NumbersAt, moves: Vector) -> sp.csr_matrix:
+    """Return central differences (rows, columns) along moves (n, gdim) of the boundary's nodes."""
+    up, down = (numbers_at(supports.moved(sign * moves)) for sign in (1.0, -1.0))
     return 0.5 * (up - down)
 
 

@@ -140,15 +140,6 @@ class SolvedState:
                 return found, own
         return None
 
-    def sides(self, name: str | int) -> Vector:
-        """Return 1 for each row of a contact; -1 where slave and master were exchanged."""
-        return np.concatenate(
-            [
-                np.full(own.size, 1.0 if contact.roles.used is contact.roles.given else -1.0)
-                for contact, own in self.parts_of(name)
-            ]
-        )
-
     def sites_of(self, name: str | int) -> Numbers:
         """Return the sites of friction of a contact's rows."""
         if any(contact.friction is None for contact, _ in self.parts_of(name)):
@@ -156,16 +147,6 @@ class SolvedState:
         site = np.full(self.zeros().normal.size, -1)
         site[self.rows] = np.arange(self.rows.size)
         return site[self.rows_of(name)]
-
-    def weights(
-        self, name: str | int, given: Any, shape: tuple[int, ...], label: str
-    ) -> tuple[Numbers, Vector]:
-        """Return the rows of a contact, and values (k, ...) given for them or one for all."""
-        own = self.rows_of(name)
-        weights, whole = np.asarray(given, dtype=float), (own.size, *shape)
-        if weights.shape not in (whole, shape):
-            raise InputError(f"{label} has the shape {weights.shape}; {whole} or {shape} expected")
-        return own, np.broadcast_to(weights, whole)
 
     def has_kinds_of(self, found: ContactSet) -> bool:
         """Tell whether this rank's conditions are of the kinds and numbers of others."""
@@ -299,3 +280,24 @@ def parts_of_contact(
 def rows_of_contact(contact_set: ContactSet, name: str | int) -> Numbers:
     """Return the rows of a contact."""
     return np.concatenate([own for _, own in parts_of_contact(contact_set, name)])
+
+
+def sides_of_contact(contact_set: ContactSet, name: str | int) -> Vector:
+    """Return 1 for each row of a contact; -1 where slave and master were exchanged."""
+    return np.concatenate(
+        [
+            np.full(own.size, 1.0 if contact.roles.used is contact.roles.given else -1.0)
+            for contact, own in parts_of_contact(contact_set, name)
+        ]
+    )
+
+
+def weights_of_contact(
+    contact_set: ContactSet, name: str | int, given: Any, shape: tuple[int, ...], label: str
+) -> tuple[Numbers, Vector]:
+    """Return the rows of a contact, and values (k, ...) given for them or one for all."""
+    own = rows_of_contact(contact_set, name)
+    weights, whole = np.asarray(given, dtype=float), (own.size, *shape)
+    if weights.shape not in (whole, shape):
+        raise InputError(f"{label} has the shape {weights.shape}; {whole} or {shape} expected")
+    return own, np.broadcast_to(weights, whole)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,7 +14,13 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import Prescribed
 from fenics_tfeti.parallel import any_rank
-from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_dependence
+from fenics_tfeti.sensitivities.forms import (
+    FormsAtSolution,
+    by_constant,
+    by_function,
+    check_dependence,
+    check_parameter,
+)
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -76,3 +82,33 @@ def prescribed_changes(
         if stands:
             in_forms.append((m, dm))
     return changes, in_forms
+
+
+def derivative_by(
+    m: Function | Constant,
+    forms: FormsAtSolution,
+    z: Function,
+    supports: tuple[Sequence[Any], Prescribed],
+    reaction: Callable[[], Vector],
+) -> Vector:
+    """Return the derivative of J by a Function or a Constant, with the adjoint z. Collective.
+
+    The supports are Dirichlet conditions and what they prescribe, the reaction that by all
+    prescribed displacements (n,), which this rank owns.
+    """
+    space = forms.u.function_space
+    check_parameter(m)
+    dofs, entries = prescribed_entries(space, *supports, m)
+    is_support, stands = any_rank(space.mesh.comm, [dofs.size > 0]), forms.depend_on(m)
+    check_dependence(m, is_support or stands)
+    by_supports = reaction() if is_support else np.zeros(0)
+    values = np.zeros(m.value.size if isinstance(m, Constant) else m.x.array.size)
+    own = dofs < by_supports.size
+    np.add.at(values, entries[own], by_supports[dofs[own]])
+    work = forms.work(z)
+    total: Vector
+    if isinstance(m, Constant):
+        total = space.mesh.comm.allreduce(values).reshape(m.ufl_shape)
+        return total + by_constant(work, m, space.mesh) if stands else total
+    total = _compat.summed_at_owners(values, m.function_space)
+    return total + by_function(work, m) if stands else total

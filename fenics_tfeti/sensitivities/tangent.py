@@ -26,7 +26,7 @@ from fenics_tfeti.sensitivities.forms import (
     check_parameter,
 )
 from fenics_tfeti.sensitivities.linear_solves import LinearSolves
-from fenics_tfeti.sensitivities.state import SolvedState
+from fenics_tfeti.sensitivities.state import SolvedState, sides_of_contact, weights_of_contact
 from fenics_tfeti.sensitivities.supports import prescribed_changes
 from fenics_tfeti.typing import Vector
 
@@ -50,23 +50,26 @@ class Change:
     ) -> Change:
         """Return what changes of Functions and Constants, and of contacts, make. Collective."""
         gap, bound = state.zeros().normal, np.zeros(state.rows.size)
-        areas = np.concatenate([np.zeros(0), *(p.area for p in state.contact_set.all_conditions)])
+        contact_set = state.contact_set
+        areas = np.concatenate([np.zeros(0), *(p.area for p in contact_set.all_conditions)])
         force = state.solution.normal_force
         with raise_collectively(state.torn.nodes.comm):
             for m in data:
                 check_parameter(m)
             for name, given in gaps.items():
-                own, values = state.weights(name, given, (), f"gaps[{name!r}]")
+                own, values = weights_of_contact(contact_set, name, given, (), f"gaps[{name!r}]")
                 gap[own] += values
             for label, named, factor in (
                 ("slip_bounds", slip_bounds, areas),
                 ("coefficients", coefficients, force),
             ):
                 for name, given in named.items():
-                    own, values = state.weights(name, given, (), f"{label}[{name!r}]")
+                    own, values = weights_of_contact(
+                        contact_set, name, given, (), f"{label}[{name!r}]"
+                    )
                     bound[state.sites_of(name)] += values * factor[own]
         prescribed, in_forms = prescribed_changes(
-            state.forms, state.torn.bcs, state.contact_set.prescribed, data
+            state.forms, state.torn.bcs, contact_set.prescribed, data
         )
         return Change(state.forms.change(in_forms), prescribed, gap, bound)
 
@@ -103,7 +106,7 @@ class Tangent:
         sites = state.sites_of(name)
         tangents = state.linear.system.friction.tangents[sites]
         along = np.einsum("kt,kta->ka", self._forces.tangential[sites], tangents)
-        return -along * state.sides(name)[:, None]
+        return -along * sides_of_contact(state.contact_set, name)[:, None]
 
     def _data(self, change: Change) -> LinearData:
         """Return loads and jumps, with prescribed displacements as data. Collective."""

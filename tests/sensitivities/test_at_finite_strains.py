@@ -71,13 +71,36 @@ class Pressed:
             1.0 if m is self.E else np.cos(np.arange(m.value.size))
         )
 
+    @property
+    def J(self):
+        """A form with squares of displacements."""
+        u, dim = self.u, self.scene.gdim
+        return (u[0] ** 2 + 3 * u[dim - 1] ** 2 + u[0] * u[dim - 1]) * self.E * ufl.dx
+
+    def value(self):
+        """J, the sum of squares of normal forces, and a component of the force."""
+        result, up = self.problem.results["joint"], np.eye(self.scene.gdim)[-1]
+        squares = 0.5 * float(result.nodal_normal_force @ result.nodal_normal_force)
+        of_form = fem.assemble_scalar(fem.form(self.J)) + squares
+        return self.scene.mesh.comm.allreduce(of_form) + result.force @ (
+            up + 0.5 * np.eye(up.size)[0]
+        )
+
+    def adjoint(self, rtol=1e-12):
+        """That of the value."""
+        weights = {"joint": self.problem.results["joint"].nodal_normal_force}
+        up = np.eye(self.scene.gdim)[-1]
+        forces = {"joint": up + 0.5 * np.eye(up.size)[0]}
+        return self.problem.adjoint(self.J, forces=forces, normal_forces=weights, rtol=rtol)
+
     def remainders(self, name):
-        """Those of displacements and normal forces for two steps, one half of the other."""
+        """Those of displacements, normal forces and the value for two steps, one half of the other."""
         problem, (m, dm) = self.problem, self.parameter(name)
         problem.solve()
         tangent = problem.tangent({m: dm}, rtol=1e-10)
         u, force = self.u.x.array.copy(), problem.results["joint"].nodal_normal_force.copy()
         du, df = tangent.u.x.array.copy(), tangent.nodal_normal_force("joint")
+        value, slope = self.value(), np.sum(self.adjoint(1e-10).by(m) * dm)
         first, found = m.value.copy(), []
         for h in (2e-3, 1e-3):
             m.value = first + h * dm
@@ -85,7 +108,8 @@ class Pressed:
             now = problem.results["joint"].nodal_normal_force
             assert np.array_equal(now > 0.0, force > 0.0), "the set in contact"
             errors = (self.u.x.array - u - h * du, now - force - h * df)
-            found.append([COMM.allreduce(np.abs(e).max(initial=0.0), MPI.MAX) for e in errors])
+            largest = [COMM.allreduce(np.abs(e).max(initial=0.0), MPI.MAX) for e in errors]
+            found.append([*largest, abs(self.value() - value - h * slope)])
         m.value = first
         return np.array(found)
 
@@ -101,6 +125,8 @@ KINDS = {
     "mortar, Coulomb": partial(Pressed, "block", friction=Coulomb(0.3)),
     "plane, Coulomb": partial(Pressed, plane(2), friction=Coulomb(0.2)),
     "3D ball": partial(Pressed, Sphere((0.45, 0.5, 0.01), 1.0), 3),
+    "3D ball, Coulomb": partial(Pressed, Sphere((0.45, 0.5, 0.01), 1.0), 3, Coulomb(0.1)),
+    "3D mortar": partial(Pressed, "block", 3),
 }
 
 
