@@ -30,10 +30,14 @@ class FrozenSetup:
 
     def serves(self, load_case: LoadCase, face: Face) -> bool:
         """Tell whether the same conditions hold, and no other force is unknown. Collective."""
+        is_unknown = any_rank(load_case.torn.nodes.comm, face.friction.bound > 0.0)
+        return self.has_conditions_of(load_case, face) and not is_unknown
+
+    def has_conditions_of(self, load_case: LoadCase, face: Face) -> bool:
+        """Tell whether the same conditions hold, also where friction may turn. Collective."""
         contacts = self.face.held.size
         is_other = not self.face.is_that_of(face)
         is_other = is_other or not np.array_equal(self.linear.active[:contacts], self.face.held)
-        is_other = is_other or bool((face.friction.bound > 0.0).any())
         return not any_rank(load_case.torn.nodes.comm, [is_other])
 
     def hessian(

@@ -164,7 +164,7 @@ class NewtonIteration:
     def linearised(self, state: NewtonState) -> tuple[Face, FrozenSetup]:
         """Return the face of a state in equilibrium, and a set-up for it. Collective."""
         face = self._load_case.face_of(state)
-        if self.set_up is not None and self.set_up.serves(self._load_case, face):
+        if self.set_up is not None and self.set_up.has_conditions_of(self._load_case, face):
             return face, self.set_up
         self._frozen, self._follows_path = None, True
         face = self._solve_linearised(state, None).face

@@ -50,6 +50,7 @@ class RowSupports:
     size: Vector  # (n,): shortest edge there [m]
     near: sp.csr_matrix  # (n, n): nodes of common cells
     all_rows: sp.csr_matrix  # (rows, n): nodes of each row, of all ranks one after the other
+    masters: sp.csr_matrix  # (rows, n): those of masters of mortar conditions, not in `all_rows`
     own: slice  # this rank's rows
 
     @staticmethod
@@ -65,34 +66,39 @@ class RowSupports:
         cell, corner = np.nonzero(on_boundary[cells])
         first_cell, _ = first_of_rank(nodes.comm, len(cells))
         of_cells = _gathered(nodes, cell + first_cell, cells[cell, corner])
-        row, of_rows, count = _row_nodes(found, nodes, on_boundary)
+        row, of_rows, is_master, count = _row_nodes(found, nodes, on_boundary)
         if counts is not None:
-            row, of_rows = row[counts[row]], of_rows[counts[row]]
+            row, of_rows, is_master = (x[counts[row]] for x in (row, of_rows, is_master))
         first_row, total = first_of_rank(nodes.comm, count)
-        rows = concatenate_ranks(nodes.comm, np.stack([row + first_row, of_rows], axis=1))
+        columns = [row + first_row, of_rows, is_master]
+        rows = concatenate_ranks(nodes.comm, np.stack(columns, axis=1))
         numbers = np.unique(np.concatenate([of_cells[:, 1], rows[:, 1]]))
-        incidence, all_rows = (
-            _incidence(pairs[:, 0], np.searchsorted(numbers, pairs[:, 1]), size)
+        incidence, all_rows, masters = (
+            _incidence(pairs[:, 0], np.searchsorted(numbers, pairs[:, 1]), (size, numbers.size))
             for pairs, size in (
-                (of_cells, (of_cells[:, 0].max(initial=-1) + 1, numbers.size)),
-                (rows, (total, numbers.size)),
+                (of_cells, of_cells[:, 0].max(initial=-1) + 1),
+                (rows[rows[:, 2] == 0], total),
+                (rows[rows[:, 2] == 1], total),
             )
         )
         size = np.zeros(numbers.size)
         shortest = nodes.reduced_over_cells(_shortest_edges(space), np.minimum)
         near = incidence.T @ incidence
         own = slice(first_row, first_row + count)
-        supports = RowSupports(nodes, numbers, size, near, all_rows, own)
+        supports = RowSupports(nodes, numbers, size, near, all_rows, masters, own)
         size[supports.here] = shortest[supports.owned]
         return replace(supports, size=nodes.comm.allreduce(size))
 
     def widened(self, rings: int) -> RowSupports:
-        """Return the supports with nodes of some more rings of cells."""
-        rows = self.all_rows
+        """Return the supports with nodes of some more rings of cells, at first not of masters."""
+        rows = self._widened(self.all_rows, rings)
+        return replace(self, all_rows=rows + self._widened(self.masters, rings - _RINGS))
+
+    def _widened(self, rows: sp.csr_matrix, rings: int) -> sp.csr_matrix:
         for _ in range(rings):
             rows = rows @ self.near
             rows.data[:] = 1
-        return replace(self, all_rows=rows)
+        return rows
 
     @cached_property
     def groups(self) -> Numbers:
@@ -245,22 +251,28 @@ def _on_boundary(space: FunctionSpace) -> Mask:
 
 def _row_nodes(
     found: ContactSet, nodes: NodeMap, on_boundary: Mask
-) -> tuple[Numbers, Numbers, int]:
-    """Return rows and global nodes of the mesh of the terms of this rank's rows; how many rows."""
-    of_space = found.boundary.nodes
-    terms = [(p.terms.row, p.terms.nodes, p.terms.slaves.size) for p in found.all_conditions]
-    terms += [
-        (t.conditions.rows.row, t.conditions.rows.nodes, t.conditions.rows.size) for t in found.ties
-    ]
+) -> tuple[Numbers, Numbers, Mask, int]:
+    """Return rows and global nodes of the mesh of the terms of this rank's rows; how many rows.
+
+    With them is whether the node is on the master of a mortar condition, all of whose nodes are in
+    terms; a gap between nodes depends on the facets around the partner, too.
+    """
+    of_space, first = found.boundary.nodes, 0
     none = np.zeros(0, dtype=np.int64)
-    rows, numbers, first = [none], [none], 0
-    for row, number, count in terms:
+    parts = [(none, none, none > 0)]
+    terms = [
+        (p.terms.row, p.terms.nodes, p.is_mortar & ~p.terms.on_slave, p.terms.slaves.size)
+        for p in found.all_conditions
+    ]
+    ties = [t.conditions.rows for t in found.ties]
+    terms += [(t.row, t.nodes, np.zeros(t.nodes.size, dtype=bool), t.size) for t in ties]
+    for row, number, is_master, count in terms:
         in_mesh = number < of_space.total
-        rows.append(row[in_mesh] + first)
-        numbers.append(number[in_mesh])
+        parts.append((row[in_mesh] + first, number[in_mesh], is_master[in_mesh]))
         first += count
+    rows, numbers, is_master = (np.concatenate(part) for part in zip(*parts, strict=True))
     table = nodes.to_global(_node_of_mesh(of_space.space, nodes.space, on_boundary))
-    return np.concatenate(rows), of_space.values_at(table, np.concatenate(numbers)), first
+    return rows, of_space.values_at(table, numbers), is_master, first
 
 
 def _node_of_mesh(space: FunctionSpace, places: FunctionSpace, on_boundary: Mask) -> Numbers:

@@ -1,4 +1,4 @@
-"""Changes of solutions with finite strains: remainders along changes of data are quadratic."""
+"""Derivatives with finite strains: remainders along changes of data are quadratic."""
 
 from dataclasses import replace
 from functools import cache, partial
@@ -14,40 +14,55 @@ from scenes import at
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, InputError, NonlinearContactProblem, Plane, RigidBody, Sphere
-from fenics_tfeti.models import neo_hookean
+from fenics_tfeti import (
+    Coulomb,
+    InputError,
+    NonlinearContactProblem,
+    Plane,
+    RigidBody,
+    Sphere,
+    TiedPair,
+    Tresca,
+)
+from fenics_tfeti.models import follower_pressure, neo_hookean
 
 pytestmark = pytest.mark.once
 
-BASE, FOOT, ROOF, TOP = 1, 2, 3, 4
+BASE, FOOT, ROOF, TOP, SIDE, JOINED, GLUED = range(1, 8)
 COMM = MPI.COMM_WORLD
 
 
 class Pressed:
     """A rubber block that its top presses on another one, or on an obstacle, and moves aside."""
 
-    def __init__(self, below, dim=2, friction=None, comm=COMM, **options):
+    def __init__(self, below, dim=2, friction=None, comm=COMM, degree=1, squeeze=0.0, tied=False):
         up = dim - 1
-        low, high, step = np.zeros(dim), np.ones(dim), 1.02 * np.eye(dim)[up]
-        high[up] = 0.6
-        parts, marks = [(low + step, high + step, (4,) * dim)], []
-        if below == "block":
-            parts.insert(
-                0, (low + 0.42 * np.eye(dim)[up] - 0.1, high + 0.42 * step / 1.02, (5,) * dim)
-            )
-            parts[0][0][up], parts[0][1][up] = 0.42, 1.02
-            parts[0][1][:up] += 0.1
-            marks = [(BASE, at(up, 0.42), 1), (ROOF, at(up, 1.02), 1)]
-        number = len(parts)
-        marks += [(FOOT, at(up, 1.02), number), (TOP, at(up, 1.62), number)]
+        heights = {"base": (0.42, 1.02), "block": (1.02, 1.62), "cap": (1.62, 1.92)}
+        # the lower block is wider, unless it is meshed alike
+        wider = 0.0 if below == "alike" else 0.1
+        bodies = [("base", 5 if wider else 4, wider)] if below in ("block", "alike") else []
+        bodies += [("block", 4, 0.0), *([("cap", 3, 0.0)] if tied else [])]
+        number, up = {name: k + 1 for k, (name, *_) in enumerate(bodies)}, dim - 1
+        parts = [
+            ([*[-more] * up, heights[name][0]], [*[1.0 + more] * up, heights[name][1]], (n,) * dim)
+            for name, n, more in bodies
+        ]
+        marks = [(FOOT, at(up, 1.02), number["block"]), (SIDE, at(0, 0.0), number["block"])]
+        if "base" in number:
+            marks += [(BASE, at(up, 0.42), 1), (ROOF, at(up, 1.02), 1)]
+        if tied:
+            marks += [(JOINED, at(up, 1.62), number["block"]), (GLUED, at(up, 1.62), number["cap"])]
+        marks.append((TOP, at(up, 1.92 if tied else 1.62), len(bodies)))
         self.scene = scene = scenes.Scene.of_boxes(
-            comm, {2: "quadrilateral", 3: "hexahedron"}[dim], parts, marks
+            comm, {2: "quadrilateral", 3: "hexahedron"}[dim], parts, marks, degree=degree
         )
-        if below == "block":
+        if "base" in number:
             scene.fix(BASE)
             scene.add_pair(FOOT, ROOF, friction=friction, name="joint")
         else:
             scene.add_obstacle(FOOT, below, friction=friction, name="joint")
+        if tied:
+            scene.contacts.append(TiedPair(scene.facet_tags, GLUED, JOINED, name="tie"))
         self.E, self.pull = scene.constant(1.0), scene.constant(np.array([0.02, -0.01, 0.01][:dim]))
         self.moved = fem.Constant(scene.mesh, np.array([0.05, -0.08, 0.02][:dim])[[0, -1, 1][:dim]])
         facet = scene.mesh.topology.dim - 1
@@ -56,12 +71,15 @@ class Pressed:
         bcs = [*scene.bcs, fem.dirichletbc(self.moved, dofs, scene.V)]
         self.u = u = fem.Function(scene.V)
         energy = neo_hookean(self.E, 0.3)(u) - ufl.dot(self.pull, u)
+        F = ufl.derivative(energy * ufl.dx, u, scene.v)
+        if squeeze:
+            F += follower_pressure(fem.Constant(scene.mesh, squeeze), u, scene.ds(SIDE))
         self.problem = NonlinearContactProblem(
-            ufl.derivative(energy * ufl.dx, u, scene.v),
+            F,
             u,
             bcs=bcs,
             contacts=scene.contacts,
-            options={"newton_rtol": 1e-11, **options},
+            options={"newton_rtol": 1e-11},
         )
 
     def parameter(self, name):
@@ -94,7 +112,7 @@ class Pressed:
         return self.problem.adjoint(self.J, forces=forces, normal_forces=weights, rtol=rtol)
 
     def remainders(self, name):
-        """Those of displacements, normal forces and the value for two steps, one half of the other."""
+        """Of displacements, normal forces and the value, for two steps, one half of the other."""
         problem, (m, dm) = self.problem, self.parameter(name)
         problem.solve()
         tangent = problem.tangent({m: dm}, rtol=1e-10)
@@ -123,6 +141,12 @@ KINDS = {
     "ball": partial(Pressed, Sphere((0.45, 0.01), 1.0)),
     "mortar": partial(Pressed, "block"),
     "mortar, Coulomb": partial(Pressed, "block", friction=Coulomb(0.3)),
+    "mortar that slips": partial(Pressed, "block", friction=Coulomb(0.1)),
+    "mortar, Tresca": partial(Pressed, "block", friction=Tresca(0.02)),
+    "pairs of nodes": partial(Pressed, "alike", friction=Coulomb(0.1)),
+    "mortar, degree 2": partial(Pressed, "block", degree=2),
+    "plane, tied": partial(Pressed, plane(2), tied=True),
+    "plane, pressure that follows": partial(Pressed, plane(2), squeeze=0.1),
     "plane, Coulomb": partial(Pressed, plane(2), friction=Coulomb(0.2)),
     "3D ball": partial(Pressed, Sphere((0.45, 0.5, 0.01), 1.0), 3),
     "3D ball, Coulomb": partial(Pressed, Sphere((0.45, 0.5, 0.01), 1.0), 3, Coulomb(0.1)),
@@ -137,30 +161,87 @@ def posed(kind):
 
 NAMES = ("stiffness", "load", "support")
 ON_RANKS = ("mortar, Coulomb", "support")
+QUICK = ("ball", "mortar that slips", "3D ball")
+
+
+def marks(kind, name):
+    """Of the others most are for the long run."""
+    if (kind, name) == ON_RANKS:
+        return [pytest.mark.ranks]
+    return [] if kind in QUICK or name == "support" and "3D" not in kind else [pytest.mark.heavy]
 
 
 @pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        pytest.param(*case, marks=[pytest.mark.ranks] if case == ON_RANKS else [])
-        for case in product(KINDS, NAMES)
-    ],
+    ("kind", "name"), [pytest.param(*case, marks=marks(*case)) for case in product(KINDS, NAMES)]
 )
 def test_remainders_are_of_second_order(kind, name):
-    """Also of forces, but those that are linear in the stiffness, to rounding."""
+    """Also of forces, except where they are linear in the stiffness, to rounding."""
     first, second = posed(kind).remainders(name)
     rates = np.log2(first / second)
     print(kind, name, rates, "with the same nodes in contact")
     assert np.all((second < 1e-12) | (rates > 1.95) & (rates < 2.05))
 
 
-def test_no_factor_is_made_anew():
+def change(scene, tangent):
+    """What the value changes by along a tangent, but by its own data."""
+    result, u = scene.problem.results["joint"], scene.u
+    along = fem.assemble_scalar(fem.form(ufl.derivative(scene.J, u, tangent.u)))
+    of_forces = result.nodal_normal_force @ tangent.nodal_normal_force("joint")
+    return scene.scene.mesh.comm.allreduce(along + of_forces)
+
+
+@pytest.mark.parametrize("name", ["load", "support"])
+@pytest.mark.parametrize(
+    "kind",
+    [pytest.param(k, marks=[pytest.mark.heavy] * (k not in QUICK and "3D" in k)) for k in KINDS],
+)
+def test_tangent_is_the_transposed_adjoint(kind, name):
+    scene = posed(kind)
+    scene.problem.solve()
+    m, dm = scene.parameter(name)
+    weights = {"joint": scene.problem.results["joint"].nodal_normal_force}
+    adjoint = scene.problem.adjoint(scene.J, normal_forces=weights, rtol=1e-12)
+    slope = np.sum(adjoint.by(m) * dm)
+    tangent = scene.problem.tangent({m: dm}, rtol=1e-12)
+    assert change(scene, tangent) == pytest.approx(slope, rel=1e-10)
+
+
+@pytest.mark.ranks
+@pytest.mark.parametrize("kind", ["mortar that slips", "plane, tied"])
+def test_as_on_one_rank(kind):
+    slopes = []
+    for comm in (COMM, MPI.COMM_SELF):
+        scene = KINDS[kind](comm=comm)
+        scene.problem.solve()
+        adjoint = scene.adjoint()
+        slopes.append([np.sum(adjoint.by(m) * dm) for m, dm in map(scene.parameter, NAMES)])
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["mortar", "3D ball, Coulomb"])
+def test_no_factor_is_made_anew(kind):
     """With the set-up of the last Newton step, where the same conditions hold."""
-    problem = posed("mortar").problem
+    problem = posed(kind).problem
     problem.solve()
     solver = problem._solver
-    assert problem.tangent({posed("mortar").E: 1.0}).products > 0
+    assert problem.tangent({posed(kind).E: 1.0}).products > 0
+    assert posed(kind).adjoint().products > 0
     assert problem._solver is solver
+
+
+def test_gaps():
+    """By the gaps of a plane is by its place."""
+    scene = Pressed(plane(2))
+    scene.problem.solve()
+    by_gap = COMM.allreduce(scene.adjoint().by_gap("joint").sum())
+    values = []
+    for shift in (1e-5, -1e-5):
+        joint = scene.problem.contacts[0]
+        scene.problem.contacts = [replace(joint, obstacle=Plane((0.0, 1.01 - shift), (0.0, 1.0)))]
+        scene.problem.solve()
+        values.append(scene.value())
+        scene.problem.contacts = [joint]
+    assert by_gap == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-6)
 
 
 def changed(scene):
@@ -186,6 +267,19 @@ def test_mistakes(spoil, data, message):
     spoil(scene)
     with pytest.raises(InputError, match=message):
         scene.problem.tangent(data(scene))
+
+
+def test_mistakes_of_adjoints():
+    scene = Pressed(plane(2), comm=MPI.COMM_SELF)
+    scene.problem.solve()
+    with pytest.raises(InputError, match="does not depend on the displacement"):
+        scene.problem.adjoint(scene.E * ufl.dx)
+    adjoint = scene.adjoint()
+    with pytest.raises(InputError, match="stands in no form"):
+        adjoint.by(fem.Constant(scene.scene.mesh, 1.0))
+    changed(scene)
+    with pytest.raises(InputError, match="have changed since the last solve"):
+        adjoint.by(scene.E)
 
 
 def test_bodies_with_motions_of_their_own_are_refused():
