@@ -45,7 +45,7 @@ _LAZY = {
         "problem": "ContactProblem",
         "report": "ContactReport",
         "sensitivities.adjoint": "Adjoint",
-        "sensitivities.at_finite_strains": "AdjointAtFiniteStrains TangentAtFiniteStrains",
+        "sensitivities.deformed": "DeformedAdjoint DeformedTangent",
         "sensitivities.linear_solves": "LinearSolves",
         "sensitivities.tangent": "Tangent",
     }.items()

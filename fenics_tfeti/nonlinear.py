@@ -39,13 +39,14 @@ from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet, raise_collectively
 from fenics_tfeti.report import ContactReport
 from fenics_tfeti.sensitivities.adjoint import Functional, form_and_forces
-from fenics_tfeti.sensitivities.at_finite_strains import (
-    AdjointAtFiniteStrains,
-    LastState,
-    TangentAtFiniteStrains,
-    check_as_solved,
+from fenics_tfeti.sensitivities.deformed import (
+    DeformedAdjoint,
+    DeformedState,
+    DeformedTangent,
+    is_as_solved,
 )
-from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_functional
+from fenics_tfeti.sensitivities.forms import CHANGED, FormsAtSolution, check_functional
+from fenics_tfeti.sensitivities.tangent import Change
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
@@ -158,7 +159,8 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         )
         self._instability: list[str] = []
         self._end: tuple[LoadCase, NewtonState] | None = None  # of the last solve
-        self._last_state: LastState | None = None  # of the last derivatives
+        # of the last solve whose derivatives were taken
+        self._derivative: tuple[Any, DeformedState] | None = None
         self._gradients = CellGradients(self.space)
         ratios = list(compressibility(self._torn.torn.subdomains).values())
         largest = largest_of_ranks(self.space.mesh.comm, ratios) or 1.0
@@ -320,8 +322,14 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         return len(self.report.newton) > _HARD
 
     def tangent(
-        self, data: Mapping[Function | Constant, Any], *, rtol: float = 1e-8
-    ) -> TangentAtFiniteStrains:
+        self,
+        data: Mapping[Function | Constant, Any] | None = None,
+        *,
+        gaps: Mapping[str | int, Any] | None = None,
+        slip_bounds: Mapping[str | int, Any] | None = None,
+        coefficients: Mapping[str | int, Any] | None = None,
+        rtol: float = 1e-8,
+    ) -> DeformedTangent:
         """Return what the solution changes by along changes of the data. Collective.
 
         It is one linear solve with the whole derivative at the last state, contact that turns and
@@ -329,15 +337,17 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
         Parameters
         ----------
-        data : mapping
+        data : mapping, optional
             Of Functions and Constants of F and of Dirichlet conditions to changes of their values:
             a Function or array, or for Constants numbers.
+        gaps, slip_bounds, coefficients : mapping, optional
+            As of `ContactProblem.tangent`, on the present surfaces.
         rtol : float
             Part of the right-hand side that GMRES leaves.
 
         Returns
         -------
-        TangentAtFiniteStrains
+        DeformedTangent
             The change of the displacement and of the normal forces.
 
         Raises
@@ -352,8 +362,9 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         >>> tangent = problem.tangent({E: 1e6, pressure: -1e3})  # doctest: +SKIP
         >>> tangent.u, tangent.nodal_normal_force("joint")  # doctest: +SKIP
         """
-        forms, last = self._state_for_derivatives(None)
-        return TangentAtFiniteStrains(forms, last, data, rtol)
+        state = self._state_for_derivatives(None)
+        change = Change.of(state, data or {}, gaps or {}, slip_bounds or {}, coefficients or {})
+        return DeformedTangent(state, change, rtol)
 
     def adjoint(
         self,
@@ -362,7 +373,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         forces: Mapping[str | int, Any] | None = None,
         normal_forces: Mapping[str | int, Any] | None = None,
         rtol: float = 1e-8,
-    ) -> AdjointAtFiniteStrains:
+    ) -> DeformedAdjoint:
         """Return the derivatives of a functional of the solution by the data. Collective.
 
         It is `tangent` transposed: one linear solve, whatever the number of parameters.
@@ -376,7 +387,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
         Returns
         -------
-        AdjointAtFiniteStrains
+        DeformedAdjoint
             Its methods give the derivatives.
 
         Raises
@@ -392,22 +403,27 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         >>> adjoint.by(E), adjoint.by(pressure)  # doctest: +SKIP
         """
         J, forces = form_and_forces(J, forces)
-        forms, last = self._state_for_derivatives(J)
-        functional = Functional.of(forms, last.contact_set, forces, normal_forces or {})
-        return AdjointAtFiniteStrains(forms, last, functional, rtol)
+        state = self._state_for_derivatives(J)
+        functional = Functional.of(state.forms, state.contact_set, forces, normal_forces or {})
+        return DeformedAdjoint(state, functional, rtol)
 
-    def _state_for_derivatives(self, J: ufl.Form | None) -> tuple[FormsAtSolution, LastState]:
-        """Return the forms, with J, and the last state with its derivative. Collective."""
+    def _state_for_derivatives(self, J: ufl.Form | None) -> DeformedState:
+        """Return the last state with its derivative. Collective."""
         with raise_collectively(self.space.mesh.comm):
             if self._end is None or not (self._is_solved and self.report.converged):
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
             check_functional(J, self.u)
-        end, forms = self._end, self._torn.torn.forms.linear.form
-        check_as_solved(*end)
-        if self._last_state is None or self._last_state.state is not end[1]:
-            self._last_state = LastState.of(*end, self._iteration, lambda: self._end is end)
+        end = self._end
+        forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, J, self.u)
+        if not is_as_solved(*end):
+            raise InputError(CHANGED)
+        if self._derivative is None or self._derivative[0] is not end:
+            state = DeformedState.with_finite_strains(
+                *end, self._iteration, forms, lambda: self._end is end
+            )
+            self._derivative = end, state
             self._solver = self._iteration.solver
-        return FormsAtSolution(None, forms, J, self.u), self._last_state
+        return replace(self._derivative[1], forms=forms)
 
     def _solve(
         self,

@@ -36,7 +36,8 @@ from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
 from fenics_tfeti.report import ContactReport
 from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional, form_and_forces
-from fenics_tfeti.sensitivities.forms import FormsAtSolution, check_functional
+from fenics_tfeti.sensitivities.deformed import DeformedAdjoint, DeformedState, DeformedTangent
+from fenics_tfeti.sensitivities.forms import CHANGED, FormsAtSolution, check_functional
 from fenics_tfeti.sensitivities.state import SolvedState
 from fenics_tfeti.sensitivities.tangent import Change, Tangent
 
@@ -160,6 +161,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
         self.system = self._torn.system(self._accepted.origin)
         _return_free_memory()
         self._deformed: ContactSet | None = None  # after the last pass
+        # of the last solve with gaps whose derivatives were taken
+        self._derivative: tuple[Any, DeformedState] | None = None
 
     def solve(
         self,
@@ -287,7 +290,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         forces: Mapping[str | int, Any] | None = None,
         normal_forces: Mapping[str | int, Any] | None = None,
         rtol: float | None = None,
-    ) -> Adjoint:
+    ) -> Adjoint | DeformedAdjoint:
         """Return the derivatives of a functional of the solution by the data. Collective.
 
         The functional is J plus the weighted forces. It costs one linear solve, with the factors of
@@ -307,14 +310,14 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
         Returns
         -------
-        Adjoint
+        Adjoint, or DeformedAdjoint with `gaps`
             Its methods give the derivatives.
 
         Raises
         ------
         InputError
-            The problem is not solved, or has changed since; J is not a functional; `gaps` is
-            given: rows that follow the displacement are not differentiated.
+            The problem is not solved, or has changed since; J is not a functional; with `gaps`, a
+            rigid body or a bolt has motions.
         UnresistedMotion
             J changes by a motion that nothing resists.
         NotConverged
@@ -329,7 +332,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
         J, forces = form_and_forces(J, forces)
         state = self._state_for_derivatives(J)
         functional = Functional.of(state.forms, state.contact_set, forces, normal_forces or {})
-        return Adjoint(state, functional, self.options.solver.rtol if rtol is None else rtol)
+        rtol = self.options.solver.rtol if rtol is None else rtol
+        if isinstance(state, DeformedState):
+            return DeformedAdjoint(state, functional, rtol)
+        return Adjoint(state, functional, rtol)
 
     def tangent(
         self,
@@ -340,7 +346,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         coefficients: Mapping[str | int, Any] | None = None,
         one_sided: bool = False,
         rtol: float | None = None,
-    ) -> Tangent:
+    ) -> Tangent | DeformedTangent:
         """Return what the solution changes by along changes of the data. Collective.
 
         Parameters
@@ -359,7 +365,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
         Returns
         -------
-        Tangent
+        Tangent, or DeformedTangent with `gaps`
             The change of the displacement and of the forces.
 
         Raises
@@ -375,16 +381,18 @@ class ContactProblem(SteppedProblem[ContactReport]):
         state = self._state_for_derivatives(None)
         change = Change.of(state, data or {}, gaps or {}, slip_bounds or {}, coefficients or {})
         rtol = self.options.solver.rtol if rtol is None else rtol
-        return Tangent(state, change, one_sided, rtol)
+        if not isinstance(state, DeformedState):
+            return Tangent(state, change, one_sided, rtol)
+        if one_sided:
+            raise InputError(
+                "one_sided with gaps=Deformed(): derivatives of one side are those of undeformed "
+                "surfaces. Leave one_sided out, or change the data a little"
+            )
+        return DeformedTangent(state, change, rtol)
 
-    def _state_for_derivatives(self, J: ufl.Form | None) -> SolvedState:
+    def _state_for_derivatives(self, J: ufl.Form | None) -> SolvedState | DeformedState:
         """Return the solved problem for its derivatives, after checking that it is one."""
         with raise_collectively(self.space.mesh.comm):
-            if self.gaps is not None:
-                raise InputError(
-                    "derivatives are those of undeformed surfaces: with gaps=Deformed() normals "
-                    "and gaps follow the displacement, which they leave out. Leave gaps out"
-                )
             self._check_hard("derivatives are")
             if self._solved is None or self._solution is None or not self.report.converged:
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
@@ -402,14 +410,19 @@ class ContactProblem(SteppedProblem[ContactReport]):
             return is_last and self._torn.is_as_found(self.bcs, list(self.contacts))
 
         if not is_current():
-            raise InputError(
-                "data, supports or contacts have changed since the last solve; call solve() first"
-            )
+            raise InputError(CHANGED)
         prepared = self._torn.torn.forms
         forms = FormsAtSolution(prepared.bilinear.form, prepared.linear.form, J, self.u)
         linear = solver.linear_problem()
-        origin = self._accepted.origin
-        return SolvedState(self._torn, forms, solved, self._solution, linear, origin, is_current)
+        last = SolvedState(
+            self._torn, forms, is_current, solved, self._solution, linear, self._accepted.origin
+        )
+        if self.gaps is None:
+            return last
+        assert self._deformed is not None
+        if self._derivative is None or self._derivative[0] is not solved:
+            self._derivative = solved, DeformedState.with_exact_gaps(last, self._deformed)
+        return replace(self._derivative[1], forms=forms)
 
     def _check_hard(self, what: str) -> None:
         """Check that no contact has a law or elastic slip, as not everything is for these."""

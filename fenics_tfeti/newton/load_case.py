@@ -13,6 +13,7 @@ from dolfinx.fem import Function
 from fenics_tfeti.errors import NotConverged
 from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
+from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, prescribed_components
 from fenics_tfeti.fem.gradients import CellGradients
@@ -96,11 +97,18 @@ class LoadCase:
         return NewtonState(displacement, rows, multipliers, equilibrium, internal)
 
     def rows_at(
-        self, displacement: Vector, bodies: RigidBodies, last: DeformedRows
+        self,
+        displacement: Vector,
+        bodies: RigidBodies,
+        last: DeformedRows,
+        undeformed: ContactSet | None = None,
     ) -> DeformedRows:
-        """Return the rows at another displacement, near the last ones; u stays. Collective."""
+        """Return the rows at another displacement, near the last ones; u stays. Collective.
+
+        The conditions of undeformed surfaces may be others.
+        """
         scratch = Function(self.torn.space)
-        return self._rows(scratch, self._fill(scratch, displacement, bodies), last)
+        return self._rows(scratch, self._fill(scratch, displacement, bodies), last, undeformed)
 
     def _fill(self, uh: Function, displacement: Vector, bodies: RigidBodies) -> RigidBodies:
         """Fill a displacement, and return the bodies there. Collective."""
@@ -110,11 +118,17 @@ class LoadCase:
         self.torn.fill(uh, bodies, is_small=False)
         return bodies
 
-    def _rows(self, uh: Function, bodies: RigidBodies, last: DeformedRows | None) -> DeformedRows:
+    def _rows(
+        self,
+        uh: Function,
+        bodies: RigidBodies,
+        last: DeformedRows | None,
+        undeformed: ContactSet | None = None,
+    ) -> DeformedRows:
         """Return the rows of the surfaces deformed by a displacement, near the last ones."""
         before = None if last is None else last.contact_set
         here = replace(bodies, from_here=True)
-        contact_set = self.torn.undeformed.deformed(uh, here, before)[0]
+        contact_set = (undeformed or self.torn.undeformed).deformed(uh, here, before)[0]
         contact_set = contact_set.with_friction(uh).with_turned_ties(uh)
         return DeformedRows.of(contact_set, uh, self.origin)
 

@@ -10,5 +10,6 @@ on the closed rows N, and b = C T z where sites slip, with C = bound / |slip| ac
     dJ = z'(df - dK u) + a'dg + b'ds + rho'dv - (T z)'direction d(bound) + what J itself changes by.
 
 With Coulomb's law the bound follows the normal force: N z + mu direction'T z = dJ/dl at sites that
-slip, by GMRES with a linear solve a step.
+slip, by GMRES with a linear solve a step. Where rows follow the displacement, `contact_derivative`
+has what they change by.
 """

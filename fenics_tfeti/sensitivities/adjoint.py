@@ -25,7 +25,6 @@ from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.feti.solution.linear import LinearData, LinearSolution
 from fenics_tfeti.feti.system import Friction, RowValues
 from fenics_tfeti.parallel import (
-    any_rank,
     largest_of_ranks,
     raise_collectively,
 )
@@ -41,6 +40,7 @@ from fenics_tfeti.sensitivities.row_supports import (
     largest_distortion,
 )
 from fenics_tfeti.sensitivities.state import (
+    DifferentiatedState,
     SolvedState,
     sides_of_contact,
     weights_of_contact,
@@ -96,72 +96,18 @@ def form_and_forces(
     return J, given
 
 
-class Adjoint:
-    """The adjoint of a functional; `ContactProblem.adjoint` makes it.
+class Derivatives:
+    """The derivatives of a functional by data, of a solution and its adjoint z.
 
     Attributes
     ----------
     z : Function
         The adjoint displacement: the derivative of J by nodal forces.
-    linear_solves : LinearSolves
-        Numbers of products with F and of linear solves, and their residual.
-    kinks : dict
-        By name of the contact, how many nodes touch without a force, and how many sites are at the
-        edge of slip. J has derivatives of one side only there, see `ContactProblem.tangent`.
     """
 
-    def __init__(self, state: SolvedState, functional: Functional, rtol: float) -> None:
-        self._state, self.kinks = state, state.kinks()
-        self.linear_solves = LinearSolves(state, rtol)
-        self._functional = functional
-        try:
-            solution = self._solved()
-        except UnresistedMotion as error:
-            raise UnresistedMotion(
-                "J changes by a motion that no closed contact and no support resists: its "
-                f"derivatives are infinite. Of dJ/du as a load: {error}"
-            ) from None
-        self.z, self._motions = state.displacement(solution, "z")
-        self._shortenings = state.contact_set.shortenings(solution.displacements)
-        self._solution = solution
-
-    def _solved(self) -> LinearSolution:
-        """Solve; with Coulomb's law the jumps at sites that slip follow the slips of z."""
-        state = self._state
-        loads, by_forces = state.torn_loads(self._functional.u), self._by_forces
-        mu, direction, rows = state.coefficient, state.direction, state.rows
-        along = np.sum(direction * by_forces.tangential, axis=1)
-        normal = by_forces.normal.copy()
-        np.add.at(normal, rows, mu * along)
-        across = by_forces.tangential - along[:, None] * direction
-        jumps = RowValues(normal, across, state.zeros().tied)
-        solution = self.linear_solves.solve(LinearData(loads, jumps, state.zeros()))
-        if not state.has_coulomb():
-            return solution
-
-        def with_normal(loads: list[Vector], jumps: RowValues, y: Vector) -> LinearSolution:
-            normal = jumps.normal.copy()
-            np.add.at(normal, rows, y)
-            return self.linear_solves.solve(
-                LinearData(loads, replace(jumps, normal=normal), state.zeros())
-            )
-
-        def friction(z: LinearSolution) -> Vector:
-            return mu * np.sum(direction * z.jumps.tangential, axis=1)
-
-        none = [np.zeros_like(load) for load in loads]
-        y = self.linear_solves.by_gmres(
-            lambda y: y + friction(with_normal(none, state.zeros(), np.where(mu > 0.0, y, 0.0))),
-            friction(solution),
-        )
-        return with_normal(loads, jumps, -y)
-
-    @property
-    def _by_forces(self) -> RowValues:
-        system = self._state.linear.system
-        return self._functional.by_forces(system.contacts.normal, system.friction)
-
-    # -- derivatives -------------------------------------------------------------------------------
+    z: Function
+    _state: DifferentiatedState
+    _forces: RowValues  # adjoint forces of the rows of contacts, sites and ties
 
     def by(self, m: Function | Constant) -> Vector:
         """Return the derivative of J by a Function or Constant of forms, supports or J. Collective.
@@ -185,16 +131,29 @@ class Adjoint:
         self._state.check_current()
         state = self._state
         supports = state.torn.bcs, state.contact_set.prescribed
-        return derivative_by(m, state.forms, self.z, supports, self.by_supports)
+        return derivative_by(m, state.forms, self.z, supports, self._reactions)
 
     def by_supports(self) -> Vector:
         """Return the derivatives (n,) of J by all prescribed displacements. Collective.
 
         They are at the degrees of freedom that this rank owns, and rounding at free ones.
         """
-        state = self._state
-        left = self._functional.u - state.forms.internal_forces(self.z)
-        return left - state.nodal_forces(state.linear.system, self._solution.forces)
+        self._state.check_current()
+        return self._reactions()
+
+    def _reactions(self) -> Vector:
+        raise NotImplementedError
+
+    def _by_bounds(self) -> Vector:
+        """Return the derivatives (sites,) by friction forces of sites that slip, along them."""
+        raise NotImplementedError
+
+    def _of_rows(self, found: ContactSet) -> Vector:
+        """Return what J changes by with each row of other conditions, of contacts, then of ties.
+
+        Collective.
+        """
+        raise NotImplementedError
 
     def by_gap(self, name: str | int) -> Vector:
         """Return the derivatives of J by gaps at the nodes of ``results[name]``. Collective.
@@ -205,26 +164,11 @@ class Adjoint:
         of a `PeriodicPair`.
         """
         self._state.check_current()
-        forces = self._solution.forces
+        forces = self._forces
         if tie := self._state.tie_of(name):
             found, own = tie
             return -found.conditions.forces(forces.tied[own])
         return forces.normal[self._state.rows_of(name)]
-
-    def by_preload(self, name: str | int) -> float:
-        """Return the derivative of J by the force or the shortening of a bolt. Collective.
-
-        It is by the one that `BoltPreload` was given [N] or [m].
-        """
-        self._state.check_current()
-        tie, comm = self._state.tie_of(name), self._state.torn.nodes.comm
-        preload = tie[0].conditions.preload if tie else None
-        if preload is None:
-            raise InputError(f"contact {name!r} is no bolt, a BoltPreload")
-        if preload.body is None:
-            return float(comm.allreduce(self.by_gap(name).sum(axis=0)) @ preload.axis)
-        assert tie is not None
-        return self._shortenings[tie[0].number]
 
     def by_slip_bound(self, name: str | int) -> Vector:
         """Return the derivatives (k,) of J by slip bounds at the nodes of ``results[name]``.
@@ -242,45 +186,11 @@ class Adjoint:
         """Return the derivatives (k,) of J by Coulomb's coefficient there. Collective."""
         self._state.check_current()
         own = self._state.rows_of(name)
-        return self._by_bound(name) * self._state.solution.normal_force[own]
+        return self._by_bound(name) * self._state.normal_force[own]
 
     def _by_bound(self, name: str | int) -> Vector:
         """Return the derivatives by the friction forces of sites that slip, along themselves."""
-        state = self._state
-        sites = state.sites_of(name)
-        change = self._by_forces.tangential - self._solution.jumps.tangential
-        return np.sum(change * state.direction, axis=1)[sites]
-
-    def by_load(self, body: str | int) -> Vector:
-        """Return the derivatives (modes,) of J by force and moment on a rigid body. Collective.
-
-        In 2D they are two of the force and one of the moment, in 3D three and three; zero for
-        components whose motion is prescribed.
-        """
-        self._state.check_current()
-        return self._motions[self._number_of(body)]
-
-    def by_motion(self, body: str | int) -> Vector:
-        """Return the derivatives (modes,) of J by the motion of a rigid body. Collective.
-
-        They are by prescribed translations [m] and small rotations [rad] in the components of
-        `by_load`, and rounding for components that are free.
-        """
-        self._state.check_current()
-        state, number = self._state, self._number_of(body)
-        bodies = state.contact_set.bodies
-        frame, first = bodies.frames[number], state.torn.nodes.total
-        at_corners = state.body_forces(state.linear.system, self._solution.forces)
-        work = frame.work(at_corners[frame.nodes - first])
-        given = state.torn.resultants(self._functional.u, bodies)
-        on_cells = given[number] if number < len(given) else 0.0
-        return on_cells - frame.body.stiffness @ self._motions[number] - work
-
-    def _number_of(self, body: str | int) -> int:
-        names = self._state.contact_set.bodies.names
-        if body not in names and body not in range(len(names)):
-            raise InputError(f"there is no rigid body {body!r}; there are {names}")
-        return names.index(body) if body in names else int(body)
+        return self._by_bounds()[self._state.sites_of(name)]
 
     def by_obstacle(
         self, name: str | int, change: Callable[[float], Contact] | None = None, step: float = 1e-5
@@ -416,21 +326,137 @@ class Adjoint:
         comm = self._state.torn.nodes.comm
         return float(comm.allreduce(up - down)) / (2.0 * size)
 
-    def _of_rows(self, found: ContactSet) -> Vector:
-        """Return what J changes by with each row, its gap and bound: of contacts, then of ties.
 
-        That is a'(g - N u) + b'(s - T u) - l'N z - t'T z, and what J has of the forces itself.
+class Adjoint(Derivatives):
+    """The adjoint of a functional; `ContactProblem.adjoint` makes it.
+
+    Attributes
+    ----------
+    z : Function
+        As of `Derivatives`.
+    linear_solves : LinearSolves
+        Numbers of products with F and of linear solves, and their residual.
+    kinks : dict
+        By name of the contact, how many nodes touch without a force, and how many sites are at the
+        edge of slip. J has derivatives of one side only there, see `ContactProblem.tangent`.
+    """
+
+    _state: SolvedState
+
+    def __init__(self, state: SolvedState, functional: Functional, rtol: float) -> None:
+        self._state, self.kinks = state, state.kinks()
+        self.linear_solves = LinearSolves(state, rtol)
+        self._functional = functional
+        try:
+            solution = self._solved()
+        except UnresistedMotion as error:
+            raise UnresistedMotion(
+                "J changes by a motion that no closed contact and no support resists: its "
+                f"derivatives are infinite. Of dJ/du as a load: {error}"
+            ) from None
+        self.z, self._motions = state.displacement(solution, "z")
+        self._shortenings = state.contact_set.shortenings(solution.displacements)
+        self._solution, self._forces = solution, solution.forces
+
+    def _solved(self) -> LinearSolution:
+        """Solve; with Coulomb's law the jumps at sites that slip follow the slips of z."""
+        state = self._state
+        loads, by_forces = state.torn_loads(self._functional.u), self._by_forces
+        mu, direction, rows = state.coefficient, state.direction, state.rows
+        along = np.sum(direction * by_forces.tangential, axis=1)
+        normal = by_forces.normal.copy()
+        np.add.at(normal, rows, mu * along)
+        across = by_forces.tangential - along[:, None] * direction
+        jumps = RowValues(normal, across, state.zeros().tied)
+        solution = self.linear_solves.solve(LinearData(loads, jumps, state.zeros()))
+        if not state.has_coulomb():
+            return solution
+
+        def with_normal(loads: list[Vector], jumps: RowValues, y: Vector) -> LinearSolution:
+            normal = jumps.normal.copy()
+            np.add.at(normal, rows, y)
+            return self.linear_solves.solve(
+                LinearData(loads, replace(jumps, normal=normal), state.zeros())
+            )
+
+        def friction(z: LinearSolution) -> Vector:
+            return mu * np.sum(direction * z.jumps.tangential, axis=1)
+
+        none = [np.zeros_like(load) for load in loads]
+        y = self.linear_solves.by_gmres(
+            lambda y: y + friction(with_normal(none, state.zeros(), np.where(mu > 0.0, y, 0.0))),
+            friction(solution),
+        )
+        return with_normal(loads, jumps, -y)
+
+    @property
+    def _by_forces(self) -> RowValues:
+        system = self._state.linear.system
+        return self._functional.by_forces(system.contacts.normal, system.friction)
+
+    def _reactions(self) -> Vector:
+        state = self._state
+        left = self._functional.u - state.forms.internal_forces(self.z)
+        return left - state.nodal_forces(state.linear.system, self._solution.forces)
+
+    def by_preload(self, name: str | int) -> float:
+        """Return the derivative of J by the force or the shortening of a bolt. Collective.
+
+        It is by the one that `BoltPreload` was given [N] or [m].
         """
+        self._state.check_current()
+        tie, comm = self._state.tie_of(name), self._state.torn.nodes.comm
+        preload = tie[0].conditions.preload if tie else None
+        if preload is None:
+            raise InputError(f"contact {name!r} is no bolt, a BoltPreload")
+        if preload.body is None:
+            return float(comm.allreduce(self.by_gap(name).sum(axis=0)) @ preload.axis)
+        assert tie is not None
+        return self._shortenings[tie[0].number]
+
+    def _by_bounds(self) -> Vector:
+        change = self._by_forces.tangential - self._solution.jumps.tangential
+        return np.asarray(np.sum(change * self._state.direction, axis=1))
+
+    def by_load(self, body: str | int) -> Vector:
+        """Return the derivatives (modes,) of J by force and moment on a rigid body. Collective.
+
+        In 2D they are two of the force and one of the moment, in 3D three and three; zero for
+        components whose motion is prescribed.
+        """
+        self._state.check_current()
+        return self._motions[self._number_of(body)]
+
+    def by_motion(self, body: str | int) -> Vector:
+        """Return the derivatives (modes,) of J by the motion of a rigid body. Collective.
+
+        They are by prescribed translations [m] and small rotations [rad] in the components of
+        `by_load`, and rounding for components that are free.
+        """
+        self._state.check_current()
+        state, number = self._state, self._number_of(body)
+        bodies = state.contact_set.bodies
+        frame, first = bodies.frames[number], state.torn.nodes.total
+        at_corners = state.body_forces(state.linear.system, self._solution.forces)
+        work = frame.work(at_corners[frame.nodes - first])
+        given = state.torn.resultants(self._functional.u, bodies)
+        on_cells = given[number] if number < len(given) else 0.0
+        return on_cells - frame.body.stiffness @ self._motions[number] - work
+
+    def _number_of(self, body: str | int) -> int:
+        names = self._state.contact_set.bodies.names
+        if body not in names and body not in range(len(names)):
+            raise InputError(f"there is no rigid body {body!r}; there are {names}")
+        return names.index(body) if body in names else int(body)
+
+    def _of_rows(self, found: ContactSet) -> Vector:
+        # a'(g - N u) + b'(s - T u) - l'N z - t'T z, and what J has of the forces itself
         state, adjoint = self._state, self._solution.forces
+        state.check_kinds(found)
         contacts, tied = found.rows(), found.tied_rows()
         friction = _along_old_tangents(
             found.friction_rows(state.origin), contacts.normal, state.linear.system.friction
         )
-        if any_rank(state.torn.nodes.comm, [not state.has_kinds_of(found)]):
-            raise InputError(
-                "the conditions of contacts or ties are others after the change, so J jumps there: "
-                "name the kind of conditions by partners, or take a smaller step"
-            )
         other = replace(
             state,
             linear=replace(

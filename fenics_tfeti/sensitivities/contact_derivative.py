@@ -42,6 +42,8 @@ _MOST = 100
 # the linear problem of the last set-up: loads (owned, gdim) and jumps -> displacements (n,),
 # forces, and products with F
 Solve = Callable[[Vector, RowValues], tuple[Vector, RowValues, int]]
+# a displacement (n,) from the state -> rows there
+RowsAt = Callable[[Vector], DeformedRows]
 
 
 @dataclass(frozen=True)
@@ -90,15 +92,30 @@ class HeldRows:
         return self.rows.slip_bounds(self.multipliers) > 0.0
 
     def multipliers_in(self, rows: DeformedRows) -> Multipliers:
-        """Return the multipliers in other rows: friction at its bound has the direction of slip."""
-        multipliers, friction = self.multipliers, rows.friction
-        if friction.tangents.shape[1] > 1:
-            place, slip = rows.place[friction.row], _vectors(rows, rows.slip)
-            turns = multipliers.slipping[place] & np.any(slip != 0.0, axis=1)
-            tangential = multipliers.tangential.copy()
-            tangential[place[turns]] = slip[turns]
-            multipliers = replace(multipliers, tangential=tangential)
-        return rows.at_bounds(multipliers)
+        """Return the multipliers in other rows: friction at its bound turns with the slip.
+
+        To first order in the change of the slip, which may be small.
+        """
+        multipliers, friction = rows.at_bounds(self.multipliers), rows.friction
+        if friction.tangents.shape[1] == 1 or not self.slips.any():
+            return multipliers
+        place, slip = rows.place[friction.row], self._slip
+        size = np.linalg.norm(slip, axis=1, keepdims=True)[place]
+        turns = multipliers.slipping[place] & (size[:, 0] > 0.0)
+        place, size = place[turns], size[turns]
+        along, change = slip[place] / size, (_vectors(rows, rows.slip)[turns] - slip[place]) / size
+        along += change - np.sum(along * change, axis=1, keepdims=True) * along
+        bound = rows.slip_bounds(multipliers) / rows.contacts.length[friction.row]
+        tangential = multipliers.tangential.copy()
+        tangential[place] = bound[turns, None] * along
+        return replace(multipliers, tangential=tangential)
+
+    @cached_property
+    def _slip(self) -> Vector:
+        """The slips of the state at the surfaces' nodes (s, gdim) [m]."""
+        slip = np.zeros_like(self.multipliers.tangential)
+        slip[self._place] = _vectors(self.rows, self.rows.slip)
+        return slip
 
     def numbers_in(self, rows: DeformedRows, nodes: Numbers, unit: float) -> sp.csr_matrix:
         """Return forces and distances of the rows that count, as they are in other rows [N].
@@ -162,11 +179,10 @@ class SurfaceMatrices:
     numbers: sp.csr_matrix  # (q * (k + tied rows), s): of the q numbers of `_dense`
     closing: sp.csr_matrix  # (r, s): C
     pressing: sp.csr_matrix  # (r, s): dG/dp transposed
+    slips: sp.csr_matrix  # (sites * directions, s): rows along the tangents
 
     @staticmethod
-    def of(
-        state: HeldRows, rows_at: Callable[[Vector], DeformedRows], unit: float
-    ) -> SurfaceMatrices:
+    def of(state: HeldRows, rows_at: RowsAt, unit: float) -> SurfaceMatrices:
         """Return them by differences of rows along displacements (n,) of nodes. Collective."""
         contact_set = state.rows.contact_set
         gdim = contact_set.boundary.nodes.components
@@ -186,7 +202,10 @@ class SurfaceMatrices:
             for part, shape in ((is_force, (s, s)), (~is_force, (q * state.counts.size, s)))
         )
         closing = _of_distances(state, unit) @ numbers
-        return SurfaceMatrices(supports, hessian, numbers, closing, _pressing(state, supports))
+        rows = state.rows
+        slips = _matrix(rows.friction.tangential_rows(rows.contacts), supports)
+        pressing = _pressing(state, supports, slips)
+        return SurfaceMatrices(supports, hessian, numbers, closing, pressing, slips)
 
 
 def _of_distances(state: HeldRows, unit: float) -> sp.csr_matrix:
@@ -214,16 +233,13 @@ def _of_distances(state: HeldRows, unit: float) -> sp.csr_matrix:
     return sp.csr_matrix((-values / unit, (at_row, at_column)), shape)
 
 
-def _pressing(state: HeldRows, supports: RowSupports) -> sp.csr_matrix:
+def _pressing(state: HeldRows, supports: RowSupports, tangential: sp.csr_matrix) -> sp.csr_matrix:
     """Return the nodal forces (r, s) of unit forces of the rows that hold.
 
     Friction at its bound follows the normal force.
     """
     rows, friction, k = state.rows, state.rows.friction, state.held.size
-    normal, tangential, tied = (
-        _matrix(part, supports)
-        for part in (rows.contacts, friction.tangential_rows(rows.contacts), rows.tied)
-    )
+    normal, tied = (_matrix(part, supports) for part in (rows.contacts, rows.tied))
     sites, directions = friction.tangents.shape[:2]
     follows = np.asarray(friction.coefficient)[:, None] * state.along
     shape = k, sites * directions
@@ -290,13 +306,43 @@ class ContactDerivative:
         gdim, k = self.torn.nodes.components, self.state.held.size
         return np.asarray(changes.reshape(-1, 2 * gdim + 2)[:k, gdim + 1])
 
+    def forces_of_bounds(self, change: Vector) -> Vector:
+        """Return nodal forces (n,) of friction at its bound, for changes (sites,). Collective."""
+        along = self.state.along * change[:, None]
+        return self.from_surfaces(self.surfaces.slips.T @ along.ravel())
+
+    def by_bounds(self, z: Vector, J: Functional) -> Vector:
+        """Return the derivatives (sites,) of J by slip bounds, with the adjoint z. Collective."""
+        rows, along = self.state.rows, self.state.along
+        slips = (self.surfaces.slips @ self.on_surfaces(z)).reshape(along.shape)
+        by_forces = J.by_forces(rows.contacts.normal, rows.friction).tangential
+        return np.asarray(np.sum((by_forces - slips) * along, axis=1))
+
+    def of_rows(self, rows: DeformedRows, x: Vector, J: Functional) -> Vector:
+        """Return what J changes by with each of other rows (k + tied rows,). Collective.
+
+        That is -z'G(u, p) + a'g with the adjoint x = (z, a), and what J has of the forces.
+        """
+        z, a = self.split(x)
+        at_surfaces, numbers = self.on_surfaces(z), self.surfaces.supports.numbers
+        with raise_collectively(self.torn.nodes.comm):
+            found = self.state.numbers_in(rows, numbers, self.unit)
+        weights = self._weights(J)
+        weights -= (_of_distances(self.state, self.unit).T @ a).reshape(weights.shape)
+        forces, dense = found[:, : at_surfaces.size], found[:, at_surfaces.size :].toarray()
+        return np.asarray(np.sum(dense * weights, axis=1) - forces @ at_surfaces)
+
+    def _weights(self, J: Functional) -> Vector:
+        """Return the weights of the numbers of `_dense` in J, (k + tied rows, 2 * gdim + 2)."""
+        gdim, k = self.torn.nodes.components, self.state.held.size
+        weights = np.zeros((self.state.counts.size, 2 * gdim + 2))
+        weights[:k, gdim + 1], weights[:k, gdim + 2 :] = J.normal, J.force
+        return weights
+
     def functional(self, J: Functional) -> Vector:
         """Return the derivative of a functional by displacements and forces of rows. Collective."""
         state, friction = self.state, self.state.rows.friction
-        gdim, k = self.torn.nodes.components, state.held.size
-        weights = np.zeros((state.counts.size, 2 * gdim + 2))
-        weights[:k, gdim + 1], weights[:k, gdim + 2 :] = J.normal, J.force
-        by_areas = self.from_surfaces(self.surfaces.numbers.T @ weights.ravel())
+        by_areas = self.from_surfaces(self.surfaces.numbers.T @ self._weights(J).ravel())
         by_forces = J.by_forces(state.rows.contacts.normal, friction)
         normal, tangential = by_forces.normal.copy(), by_forces.tangential
         follows = np.asarray(friction.coefficient)[:, None] * state.along

@@ -16,6 +16,8 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.typing import Vector
 
+CHANGED = "data, supports or contacts have changed since the last solve; call solve() first"
+
 
 @dataclass(frozen=True)
 class FormsAtSolution:

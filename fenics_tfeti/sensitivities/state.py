@@ -32,7 +32,7 @@ from fenics_tfeti.fem.displacement import fill_displacement
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti.solution.linear import LinearProblem, LinearSolution
 from fenics_tfeti.feti.solver import TornSolution
-from fenics_tfeti.feti.system import RowValues, TornSystem
+from fenics_tfeti.feti.system import Friction, RowValues, TornSystem
 from fenics_tfeti.parallel import (
     any_rank,
     largest_of_ranks,
@@ -44,48 +44,27 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
-class SolvedState:
-    """A solved problem as its derivatives see it."""
+class DifferentiatedState:
+    """What derivatives of all solved problems need."""
 
     torn: TornProblem
     forms: FormsAtSolution
-    solved: SolvedContacts
-    solution: TornSolution
-    linear: LinearProblem
-    origin: SlipOrigin
     is_current: Callable[[], bool]  # whether the problem is as it was solved, on all ranks
 
     @property
     def contact_set(self) -> ContactSet:
         """The conditions of contacts and ties."""
-        return self.solved.contact_set
+        raise NotImplementedError
 
     @property
-    def rows(self) -> Numbers:
-        """The contact row of each site of friction."""
-        return self.linear.system.friction.row
+    def friction(self) -> Friction:
+        """Friction at its sites."""
+        raise NotImplementedError
 
     @property
-    def coefficient(self) -> Vector:
-        """Coulomb's coefficient at sites that slip, (sites,); 0 elsewhere."""
-        return np.where(self.slipping, np.asarray(self.linear.system.friction.coefficient), 0.0)
-
-    def has_coulomb(self) -> bool:
-        """Tell whether any rank has a site that slips with Coulomb's law. Collective."""
-        return any_rank(self.torn.nodes.comm, self.coefficient > 0.0)
-
-    @property
-    def slipping(self) -> Mask:
-        """Which sites slip."""
-        return ~self.linear.sticking & (self.solution.slip_bound > 0.0)
-
-    @property
-    def direction(self) -> Vector:
-        """Unit vectors along the friction forces of sites that slip, (sites, gdim - 1)."""
-        force = self.solution.tangential_force
-        size = np.linalg.norm(force, axis=1, keepdims=True)
-        along = np.divide(force, size, out=np.zeros_like(force), where=size > 0.0)
-        return np.where(self.slipping[:, None], along, 0.0)
+    def normal_force(self) -> Vector:
+        """The normal forces (rows,) [N]."""
+        raise NotImplementedError
 
     def check_current(self) -> None:
         """Check that the problem is as it was solved. Collective."""
@@ -140,16 +119,8 @@ class SolvedState:
                 return found, own
         return None
 
-    def sites_of(self, name: str | int) -> Numbers:
-        """Return the sites of friction of a contact's rows."""
-        if any(contact.friction is None for contact, _ in self.parts_of(name)):
-            raise InputError(f"contact {name!r} has no friction")
-        site = np.full(self.zeros().normal.size, -1)
-        site[self.rows] = np.arange(self.rows.size)
-        return site[self.rows_of(name)]
-
-    def has_kinds_of(self, found: ContactSet) -> bool:
-        """Tell whether this rank's conditions are of the kinds and numbers of others."""
+    def check_kinds(self, found: ContactSet) -> None:
+        """Check that conditions have the kinds of the undeformed ones. Collective."""
 
         def kinds(contact_set: ContactSet) -> list[tuple[bool, int]]:
             contacts = [(p.is_mortar, p.gap.size) for p in contact_set.all_conditions]
@@ -157,7 +128,71 @@ class SolvedState:
                 (t.conditions.is_mortar, t.conditions.rows.size) for t in contact_set.ties
             ]
 
-        return kinds(found) == kinds(self.contact_set)
+        if any_rank(self.torn.nodes.comm, [kinds(found) != kinds(self.torn.undeformed)]):
+            raise InputError(
+                "the conditions of contacts or ties are others after the change, so J jumps there: "
+                "name the kind of conditions by partners, or take a smaller step"
+            )
+
+    def sites_of(self, name: str | int) -> Numbers:
+        """Return the sites of friction of a contact's rows."""
+        if any(contact.friction is None for contact, _ in self.parts_of(name)):
+            raise InputError(f"contact {name!r} has no friction")
+        site = np.full(self.normal_force.size, -1)
+        site[self.friction.row] = np.arange(self.friction.size)
+        return site[self.rows_of(name)]
+
+
+@dataclass(frozen=True)
+class SolvedState(DifferentiatedState):
+    """A solved problem with the linear problem on its last face."""
+
+    solved: SolvedContacts
+    solution: TornSolution
+    linear: LinearProblem
+    origin: SlipOrigin
+
+    @property
+    def contact_set(self) -> ContactSet:
+        """The conditions of contacts and ties."""
+        return self.solved.contact_set
+
+    @property
+    def friction(self) -> Friction:
+        """Friction at its sites."""
+        return self.linear.system.friction
+
+    @property
+    def normal_force(self) -> Vector:
+        """The normal forces (rows,) [N]."""
+        return self.solution.normal_force
+
+    @property
+    def rows(self) -> Numbers:
+        """The contact row of each site of friction."""
+        return self.linear.system.friction.row
+
+    @property
+    def coefficient(self) -> Vector:
+        """Coulomb's coefficient at sites that slip, (sites,); 0 elsewhere."""
+        return np.where(self.slipping, np.asarray(self.linear.system.friction.coefficient), 0.0)
+
+    def has_coulomb(self) -> bool:
+        """Tell whether any rank has a site that slips with Coulomb's law. Collective."""
+        return any_rank(self.torn.nodes.comm, self.coefficient > 0.0)
+
+    @property
+    def slipping(self) -> Mask:
+        """Which sites slip."""
+        return ~self.linear.sticking & (self.solution.slip_bound > 0.0)
+
+    @property
+    def direction(self) -> Vector:
+        """Unit vectors along the friction forces of sites that slip, (sites, gdim - 1)."""
+        force = self.solution.tangential_force
+        size = np.linalg.norm(force, axis=1, keepdims=True)
+        along = np.divide(force, size, out=np.zeros_like(force), where=size > 0.0)
+        return np.where(self.slipping[:, None], along, 0.0)
 
     def zeros(self) -> RowValues:
         """Return zeros at all conditions."""

@@ -26,7 +26,12 @@ from fenics_tfeti.sensitivities.forms import (
     check_parameter,
 )
 from fenics_tfeti.sensitivities.linear_solves import LinearSolves
-from fenics_tfeti.sensitivities.state import SolvedState, sides_of_contact, weights_of_contact
+from fenics_tfeti.sensitivities.state import (
+    DifferentiatedState,
+    SolvedState,
+    sides_of_contact,
+    weights_of_contact,
+)
 from fenics_tfeti.sensitivities.supports import prescribed_changes
 from fenics_tfeti.typing import Vector
 
@@ -42,17 +47,16 @@ class Change:
 
     @staticmethod
     def of(
-        state: SolvedState,
+        state: DifferentiatedState,
         data: Mapping[Any, Any],
         gaps: Mapping[str | int, Any],
         slip_bounds: Mapping[str | int, Any],
         coefficients: Mapping[str | int, Any],
     ) -> Change:
         """Return what changes of Functions and Constants, and of contacts, make. Collective."""
-        gap, bound = state.zeros().normal, np.zeros(state.rows.size)
-        contact_set = state.contact_set
+        contact_set, force = state.contact_set, state.normal_force
+        gap, bound = np.zeros(force.size), np.zeros(state.friction.size)
         areas = np.concatenate([np.zeros(0), *(p.area for p in contact_set.all_conditions)])
-        force = state.solution.normal_force
         with raise_collectively(state.torn.nodes.comm):
             for m in data:
                 check_parameter(m)

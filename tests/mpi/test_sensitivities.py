@@ -7,6 +7,7 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from sensitivity_scenes import (
+    EXACT,
     RTOL,
     block_on_roller,
     blocks,
@@ -30,6 +31,7 @@ KINDS = {
     "Coulomb": partial(blocks, n=4, m=5, friction=Coulomb(0.2)),
     "3D, Tresca": partial(blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3)),
     "tied": tied_stack,
+    "exact gaps, Coulomb": partial(blocks, n=4, m=5, friction=Coulomb(0.2), gaps=EXACT),
     "body": partial(
         block_on_roller,
         body=RigidBody((0.45, -2.0), force=(0.0, 0.02), rotation=0.0, spring=(0.05, 0.05, 1.0)),

@@ -24,7 +24,9 @@ from fenics_tfeti import (
     TiedPair,
     Tresca,
 )
+from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.models import follower_pressure, neo_hookean
+from fenics_tfeti.sensitivities.forms import node_changes, places_space
 
 pytestmark = pytest.mark.once
 
@@ -229,19 +231,70 @@ def test_no_factor_is_made_anew(kind):
     assert problem._solver is solver
 
 
-def test_gaps():
-    """By the gaps of a plane is by its place."""
-    scene = Pressed(plane(2))
-    scene.problem.solve()
-    by_gap = COMM.allreduce(scene.adjoint().by_gap("joint").sum())
+def difference(scene, change, h=1e-4):
+    """That of the value by a change of data, of solves from no displacement."""
     values = []
-    for shift in (1e-5, -1e-5):
-        joint = scene.problem.contacts[0]
-        scene.problem.contacts = [replace(joint, obstacle=Plane((0.0, 1.01 - shift), (0.0, 1.0)))]
+    for s in (h, -h, 0.0):
+        change(s)
+        scene.u.x.array[:] = 0.0
         scene.problem.solve()
         values.append(scene.value())
-        scene.problem.contacts = [joint]
-    assert by_gap == pytest.approx((values[0] - values[1]) / 2e-5, rel=1e-6)
+    return (values[0] - values[1]) / (2 * h)
+
+
+@pytest.mark.parametrize("kind", ["ball", "mortar that slips", "plane, tied", "3D ball"])
+def test_by_mesh(kind):
+    """Along a direction, and by all nodes."""
+    scene = KINDS[kind]()
+    mesh, up = scene.scene.mesh, scene.scene.gdim - 1
+    along = fem.Function(places_space(mesh))
+    along.interpolate(
+        lambda x: np.stack([*[0.1 * np.sin(3 * x[0] + x[1])] * up, 0.05 * np.cos(3 * x[0]) * x[up]])
+    )
+    x, moves = mesh.geometry.x.copy(), node_changes(along, mesh)
+
+    def change(s):
+        mesh.geometry.x[:] = x + s * moves
+
+    expected = difference(scene, change)
+    adjoint = scene.adjoint()
+    assert adjoint.by_mesh(along) == pytest.approx(expected, rel=1e-6)
+    gradient = owned_values(adjoint.by_mesh())
+    assert gradient @ owned_values(along) == pytest.approx(expected, rel=1e-6)
+
+
+CONTACTS = {
+    "obstacle": (
+        "ball",
+        lambda joint, s: replace(joint, obstacle=Sphere((0.45 + s, 0.01), 1.0 + 0.5 * s)),
+    ),
+    "gap": ("plane", lambda joint, s: replace(joint, obstacle=Plane((0.0, 1.01 - s), (0.0, 1.0)))),
+    "coefficient": (
+        "mortar that slips",
+        lambda joint, s: replace(joint, friction=Coulomb(0.1 + s)),
+    ),
+    "bound": ("mortar, Tresca", lambda joint, s: replace(joint, friction=Tresca(0.02 + s))),
+}
+
+
+@pytest.mark.parametrize("name", CONTACTS)
+def test_data_of_contacts(name):
+    kind, changed = CONTACTS[name]
+    scene = KINDS[kind]()
+    joint = scene.problem.contacts[0]
+
+    def change(s):
+        scene.problem.contacts = [changed(joint, s) if s else joint]
+
+    expected = difference(scene, change)
+    adjoint = scene.adjoint()
+    slope = {
+        "obstacle": lambda: adjoint.by_obstacle("joint", partial(changed, joint)),
+        "gap": lambda: adjoint.by_gap("joint").sum(),
+        "coefficient": lambda: adjoint.by_coefficient("joint").sum(),
+        "bound": lambda: adjoint.by_slip_bound("joint").sum(),
+    }[name]()
+    assert slope == pytest.approx(expected, rel=1e-6)
 
 
 def changed(scene):
@@ -278,7 +331,7 @@ def test_mistakes_of_adjoints():
     with pytest.raises(InputError, match="stands in no form"):
         adjoint.by(fem.Constant(scene.scene.mesh, 1.0))
     changed(scene)
-    with pytest.raises(InputError, match="have changed since the last solve"):
+    with pytest.raises(InputError, match="take them anew after solve"):
         adjoint.by(scene.E)
 
 

@@ -7,12 +7,12 @@ from mpi4py import MPI
 import numpy as np
 import pytest
 from scenes import LOADED, pressed_block
-from sensitivity_scenes import blocks
+from sensitivity_scenes import block_on_roller, blocks
 
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, Deformed, InputError, UnresistedMotion
+from fenics_tfeti import Coulomb, Deformed, InputError, RigidBody, UnresistedMotion
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +70,15 @@ def test_solutions_of_other_data():
 
 
 def test_exact_gaps():
+    """Motions of rigid bodies, and derivatives of one side, are those of undeformed surfaces."""
+    body = RigidBody((0.45, -2.0), force=(0.0, 0.02), rotation=0.0, spring=(0.05, 0.05, 1.0))
+    made = block_on_roller(body=body, gaps=Deformed())
+    made.solve()
+    assert "has motions of its own" in message(lambda: made.problem.adjoint(made.J))
     made = blocks(n=3, m=3, gaps=Deformed())
     made.solve()
-    assert "gaps=Deformed()" in message(lambda: made.problem.adjoint(made.J))
+    one_sided = message(lambda: made.problem.tangent({made.E: made.E}, one_sided=True))
+    assert "one_sided with gaps=Deformed()" in one_sided
 
 
 def test_motion_that_nothing_resists():

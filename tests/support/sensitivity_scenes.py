@@ -33,6 +33,7 @@ from fenics_tfeti import (
     BoltPreload,
     ContactPair,
     ContactProblem,
+    Deformed,
     PeriodicPair,
     RigidBody,
     Sphere,
@@ -45,6 +46,7 @@ from fenics_tfeti.sensitivities.forms import node_changes, places_space
 CROWN, GAP = 0.02, 1e-3
 RTOL = 1e-12
 OPTIONS = {"rtol": RTOL, "subdomain_size": 60}
+EXACT = Deformed(tolerance=1e-11, max_passes=40)
 
 
 @dataclass
@@ -348,6 +350,7 @@ def block_on_roller(
     cell: str = "triangle",
     body: RigidBody | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    **arguments: Any,
 ) -> Sensitive:
     """Return a block pressed onto a rigid roller or ball, which is held or moves."""
     gdim = dimension(cell)
@@ -358,7 +361,8 @@ def block_on_roller(
     scene.cell_tags = None
     ball = Sphere([*[0.45] * up, -2.0], 2.0)
     scene.add_obstacle(GROUND, ball, name="joint", friction=friction, rigid_body=body)
-    return sensitive(scene, scene.contacts, moves_aside=friction is not None, clamped=LOADED)
+    moves_aside = friction is not None
+    return sensitive(scene, scene.contacts, False, moves_aside, LOADED, **arguments)
 
 
 def tied_stack(

@@ -354,7 +354,15 @@ class ContactSet:
         """
         bodies, contacts = bodies or self.bodies, []
         known = {found.key: found.conditions for found in (last or self).contacts}
-        all_conditions = [known[found.key] for found in self.contacts]
+        # the nodes of surfaces may have moved since
+        all_conditions = [
+            replace(
+                known[found.key],
+                surface=found.undeformed.surface,
+                master_surface=found.undeformed.master_surface,
+            )
+            for found in self.contacts
+        ]
         at_bodies = [found.contact_at(bodies) for found in self.contacts]
         # rows of small strains act on undeformed bodies, which given normals leave free to turn
         is_finite = bodies.from_here
