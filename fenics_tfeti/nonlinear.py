@@ -368,7 +368,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
 
     def adjoint(
         self,
-        J: ufl.Form | Mapping[str | int, Any] | None = None,
+        J: ufl.Form | Function | Mapping[str | int, Any] | None = None,
         *,
         forces: Mapping[str | int, Any] | None = None,
         normal_forces: Mapping[str | int, Any] | None = None,
@@ -407,7 +407,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         functional = Functional.of(state.forms, state.contact_set, forces, normal_forces or {})
         return DeformedAdjoint(state, functional, rtol)
 
-    def _state_for_derivatives(self, J: ufl.Form | None) -> DeformedState:
+    def _state_for_derivatives(self, J: ufl.Form | Function | None) -> DeformedState:
         """Return the last state with its derivative. Collective."""
         with raise_collectively(self.space.mesh.comm):
             if self._end is None or not (self._is_solved and self.report.converged):
@@ -415,15 +415,22 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             check_functional(J, self.u)
         end = self._end
         forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, J, self.u)
-        if not is_as_solved(*end):
+        if not self._is_current():
             raise InputError(CHANGED)
         if self._derivative is None or self._derivative[0] is not end:
             state = DeformedState.with_finite_strains(
-                *end, self._iteration, forms, lambda: self._end is end
+                *end, self._iteration, forms, lambda: self._end is end and self._is_current()
             )
             self._derivative = end, state
             self._solver = self._iteration.solver
         return replace(self._derivative[1], forms=forms)
+
+    def _is_current(self) -> bool:
+        """Tell whether the problem is as it was solved, at `u`. Collective."""
+        if not self._is_solved or self._end is None:
+            return False
+        has_conditions = self._torn.has_conditions(self.bcs, list(self.contacts))
+        return has_conditions and is_as_solved(*self._end)
 
     def _solve(
         self,

@@ -285,7 +285,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
     def adjoint(
         self,
-        J: ufl.Form | Mapping[str | int, Any] | None = None,
+        J: ufl.Form | Function | Mapping[str | int, Any] | None = None,
         *,
         forces: Mapping[str | int, Any] | None = None,
         normal_forces: Mapping[str | int, Any] | None = None,
@@ -298,8 +298,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
 
         Parameters
         ----------
-        J : ufl.Form, or mapping as `forces`, optional
-            Functional of `u`, of rank 0.
+        J : ufl.Form, Function, or mapping as `forces`, optional
+            Functional of `u`, of rank 0; as a Function on the space of `u` its derivatives by the
+            values of `u`, such as 1 where the displacement of a node is J.
         forces : mapping, optional
             By name or number of the contact a direction (gdim,), or a vector for each of the nodes
             of ``results[name]``, (k, gdim): weights of the forces on the slave.
@@ -390,7 +391,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
             )
         return DeformedTangent(state, change, rtol)
 
-    def _state_for_derivatives(self, J: ufl.Form | None) -> SolvedState | DeformedState:
+    def _state_for_derivatives(self, J: ufl.Form | Function | None) -> SolvedState | DeformedState:
         """Return the solved problem for its derivatives, after checking that it is one."""
         with raise_collectively(self.space.mesh.comm):
             self._check_hard("derivatives are")
@@ -406,8 +407,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         assert solver is not None
 
         def is_current() -> bool:
-            is_last = self._solved is solved
-            return is_last and self._torn.is_as_found(self.bcs, list(self.contacts))
+            return self._solved is solved and self._is_current()
 
         if not is_current():
             raise InputError(CHANGED)
@@ -423,6 +423,10 @@ class ContactProblem(SteppedProblem[ContactReport]):
         if self._derivative is None or self._derivative[0] is not solved:
             self._derivative = solved, DeformedState.with_exact_gaps(last, self._deformed)
         return replace(self._derivative[1], forms=forms)
+
+    def _is_current(self) -> bool:
+        """Tell whether the problem is as it was solved. Collective."""
+        return self._is_solved and self._torn.is_as_found(self.bcs, list(self.contacts))
 
     def _check_hard(self, what: str) -> None:
         """Check that no contact has a law or elastic slip, as not everything is for these."""

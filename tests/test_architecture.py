@@ -182,7 +182,7 @@ def test_only_fem_imports_finite_element_libraries():
     """The problem, the models and the self-test take or pose forms."""
     others = {
         f"fenics_tfeti.{name}"
-        for name in ("problem", "nonlinear", "models", "load_steps", "__main__")
+        for name in ("problem", "nonlinear", "models", "load_steps", "tape", "__main__")
     }
     others.update(in_layer("fem") + in_layer("newton") + in_layer("sensitivities"))
     wrong = [

@@ -165,7 +165,7 @@ ALONE = [
 ]
 
 
-RECIPES = ["fluid_pressure", "plasticity", "temperature", "wear"]
+RECIPES = ["fluid_pressure", "plasticity", "tape", "temperature", "wear"]
 
 
 def recipe(name):
@@ -231,6 +231,17 @@ def test_fluid_pressure():
     np.testing.assert_allclose(wet.pressure, expected, atol=0.02 * expected.max())
     middle = wet.coordinates[:, 0] < 5e-3
     np.testing.assert_allclose(wet.pressure[middle], expected[middle], rtol=0.005)
+
+
+def test_tape(folder):
+    """Derivatives by pyadjoint are those of the problem itself."""
+    pytest.importorskip("dolfinx_adjoint")
+    variables = recipe("tape")
+    u, ds = variables["problem"].u, variables["ds"]
+    adjoint = variables["problem"].adjoint(1e6 * u[1] ** 2 * ds(2))
+    for name in ("density", "top"):
+        expected, found = adjoint.by(variables[name]), variables[f"by_{name}"].x.array
+        np.testing.assert_allclose(found[: expected.size], expected, rtol=1e-6, atol=1e-9)
 
 
 def test_all_pages_with_code_are_run():

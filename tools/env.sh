@@ -45,6 +45,8 @@ fill() {
             'setuptools>=66'
         quietly "$venv/bin/python" -m pip install -c "$venv/system.txt" -c "$venv/lock.txt" \
             --no-build-isolation "$@"
+        [ "${#alone[@]}" -eq 0 ] ||
+            quietly "$venv/bin/python" -m pip install -c "$venv/lock.txt" --no-deps "${alone[@]}"
         "$venv/bin/python" tools/check_env.py
         echo "$wanted" >"$venv/.installed"
     fi
@@ -98,6 +100,7 @@ lock_of() {  # KIND PYTHON
 usage() { echo "usage: tools/env.sh debian|wheel [latest]" >&2; exit 2; }
 
 latest=
+alone=()  # what pip installs without its dependencies
 case ${2:-} in
     "") ;;
     latest) latest=-latest ;;
@@ -116,9 +119,11 @@ $pins" --system-site-packages -e '.[dev]'
         ;;
     wheel)
         python=$(tools/find-wheel-python.sh)
+        # they require the distribution fenics-dolfinx, which the wheel is not called
+        alone=('dolfinx-adjoint==0.4.*' 'fenicsx-compat==0.4.*')
         fill ".venv-wheel$latest" "$python" "$(lock_of wheel "$python")" \
             "$PWD $python $("$python" --version)" "" \
-            'dolfinx-solver-real==0.11.*' gmsh -e '.[test,pictures,factor]'
+            'dolfinx-solver-real==0.11.*' gmsh -e '.[test,pictures,factor,adjoint]'
         ;;
     *) usage ;;
 esac

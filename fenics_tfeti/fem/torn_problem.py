@@ -182,12 +182,16 @@ class TornProblem:
 
     def is_as_found(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
         """Tell whether all data are those of the last update. Collective."""
+        return self.has_conditions(bcs, contacts) and self.torn.has_same_values()
+
+    def has_conditions(self, bcs: list[Any], contacts: list[Contact | Tie]) -> bool:
+        """Tell whether supports, contacts and nodes are those of the last update. Collective."""
         known, before = self.contacts, self.undeformed.prescribed
         if not (
             self._is_updated and len(known) == len(contacts) and all(map(is_, known, contacts))
         ):
             return False
-        if self.torn.has_moved() or not self.torn.has_same_values():
+        if self.torn.has_moved():
             return False
         now = prescribed_values(self.space, bcs)
         pairs = ((getattr(before, k), getattr(now, k)) for k in ("nodes", "components", "values"))

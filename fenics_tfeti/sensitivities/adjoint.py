@@ -87,9 +87,10 @@ class Functional:
 
 
 def form_and_forces(
-    J: ufl.Form | Mapping[str | int, Any] | None, forces: Mapping[str | int, Any] | None
-) -> tuple[ufl.Form | None, dict[str | int, Any]]:
-    """Return a form, and forces by contact, of a J that may be either."""
+    J: ufl.Form | Function | Mapping[str | int, Any] | None,
+    forces: Mapping[str | int, Any] | None,
+) -> tuple[ufl.Form | Function | None, dict[str | int, Any]]:
+    """Return a form or its derivative, and forces by contact, of a J that may be any of them."""
     given = dict(forces or {})
     if isinstance(J, Mapping):
         return None, given | dict(J)

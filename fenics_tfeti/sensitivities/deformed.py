@@ -56,7 +56,7 @@ class DeformedState(DifferentiatedState):
         state: NewtonState,
         iteration: NewtonIteration,
         forms: FormsAtSolution,
-        is_last: Callable[[], bool],
+        is_current: Callable[[], bool],
     ) -> DeformedState:
         """Return the last state of Newton's method. Collective."""
         torn, contact_set = load_case.torn, state.rows.contact_set
@@ -69,9 +69,6 @@ class DeformedState(DifferentiatedState):
             u = state.displacement.copy()
             u[: change.size] += change
             return load_case.rows_at(u, state.bodies, state.rows, undeformed)
-
-        def is_current() -> bool:
-            return is_last() and is_as_solved(load_case, state)
 
         derivative = ContactDerivative(
             torn,

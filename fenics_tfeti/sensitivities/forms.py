@@ -28,17 +28,17 @@ class FormsAtSolution:
 
     a: ufl.Form | None
     L: ufl.Form
-    J: ufl.Form | None
+    J: ufl.Form | Function | None  # or its derivative by the values of u
     u: Function
 
     def work(self, z: Function) -> ufl.Form:
         """Return z'(f - K u) + J: what J changes by with the data of the forms."""
         work = self._residual(z)
-        return work if self.J is None else work + self.J
+        return work + self.J if isinstance(self.J, ufl.Form) else work
 
     def depend_on(self, m: Function | Constant) -> bool:
         """Tell whether a Function or a Constant stands in the forms or in J."""
-        forms = [form for form in (self.a, self.L, self.J) if form is not None]
+        forms = [form for form in (self.a, self.L, self.J) if isinstance(form, ufl.Form)]
         return any(m is c for form in forms for c in (*form.coefficients(), *form.constants()))
 
     def derivative_of_J(self) -> Vector:
@@ -46,6 +46,8 @@ class FormsAtSolution:
         space = self.u.function_space
         if self.J is None:
             return np.zeros_like(owned_values(self.u))
+        if isinstance(self.J, Function):
+            return owned_values(self.J)
         test = ufl.TestFunction(space)
         return _compat.assembled(ufl.derivative(self.J, self.u, test), space)
 
@@ -170,8 +172,12 @@ def check_dependence(m: Function | Constant, depends: bool) -> None:
 
 
 def check_functional(J: Any, u: Function) -> None:
-    """Check that J is a form of rank 0 that depends on the displacement u."""
+    """Check that J is a form of rank 0 that depends on the displacement u, or on its space."""
     if J is None:
+        return
+    if isinstance(J, Function):
+        if J.function_space != u.function_space:
+            raise InputError("J is a Function on another space than that of the displacement")
         return
     if not isinstance(J, ufl.Form) or J.arguments():
         kind = f"a form of rank {len(J.arguments())}" if isinstance(J, ufl.Form) else repr(J)

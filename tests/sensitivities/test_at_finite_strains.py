@@ -301,6 +301,10 @@ def changed(scene):
     scene.E.value *= 1.5
 
 
+def moved(scene):
+    scene.moved.value[0] += 1e-3
+
+
 def accepted(scene):
     scene.problem.advance()
 
@@ -309,6 +313,7 @@ def accepted(scene):
     ("spoil", "data", "message"),
     [
         (changed, lambda s: {s.E: 1.0}, "have changed since the last solve"),
+        (moved, lambda s: {s.E: 1.0}, "have changed since the last solve"),
         (accepted, lambda s: {s.E: 1.0}, "call solve\\(\\), and let it end"),
         (lambda s: None, lambda s: {fem.Constant(s.scene.mesh, 1.0): 1.0}, "stands in no form"),
         (lambda s: None, lambda s: {"E": 1.0}, "the parameter is a str"),

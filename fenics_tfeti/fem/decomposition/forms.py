@@ -192,7 +192,9 @@ def _check_coefficients(form: ufl.Form, name: str, domain: Mesh) -> None:
         if _compat.cpp_object(W.mesh) is not _compat.cpp_object(domain):
             raise InputError(f"{label} is on another mesh than the displacement")
         family, degree, _ = _compat.element_facts(W)
-        if "Discontinuous" not in family and not (family == "Lagrange" and degree <= 2):
+        # a number on the whole mesh is the constant of dolfinx-adjoint
+        is_known = "Discontinuous" in family or family == "real"
+        if not is_known and not (family == "Lagrange" and degree <= 2):
             raise InputError(
                 f"{label} has the element {family} of degree {degree}; coefficients may be "
                 "discontinuous Lagrange of any degree, or Lagrange of degree 1 or 2: interpolate "
