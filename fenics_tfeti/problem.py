@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Deformed
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
+from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, ElasticBond, SoftContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -394,7 +395,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
     def _state_for_derivatives(self, J: ufl.Form | Function | None) -> SolvedState | DeformedState:
         """Return the solved problem for its derivatives, after checking that it is one."""
         with raise_collectively(self.space.mesh.comm):
-            self._check_hard("derivatives are")
+            self._check_laws()
             if self._solved is None or self._solution is None or not self.report.converged:
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
             if not self._is_solved:
@@ -427,6 +428,16 @@ class ContactProblem(SteppedProblem[ContactReport]):
     def _is_current(self) -> bool:
         """Tell whether the problem is as it was solved. Collective."""
         return self._is_solved and self._torn.is_as_found(self.bcs, list(self.contacts))
+
+    def _check_laws(self) -> None:
+        """Check that derivatives know the laws of interfaces."""
+        for number, contact in enumerate(self.contacts):
+            law = getattr(contact, "law", None)
+            if not isinstance(law, SoftContact | Adhesive | ElasticBond | None):
+                raise InputError(
+                    f"{contact_name(contact, number)}: derivatives know no law "
+                    f"{type(law).__name__}. Leave it out, or difference solves"
+                )
 
     def _check_hard(self, what: str) -> None:
         """Check that no contact has a law or elastic slip, as not everything is for these."""

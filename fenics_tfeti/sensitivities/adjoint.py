@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.descriptions.contacts import (
 )
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.feti.solution.linear import LinearData, LinearSolution
-from fenics_tfeti.feti.system import Friction, RowValues
+from fenics_tfeti.feti.system import ContactRows, Friction, RowValues
 from fenics_tfeti.parallel import (
     largest_of_ranks,
     raise_collectively,
@@ -46,7 +46,7 @@ from fenics_tfeti.sensitivities.state import (
     weights_of_contact,
 )
 from fenics_tfeti.sensitivities.supports import derivative_by
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 
 @dataclass(frozen=True)
@@ -178,10 +178,7 @@ class Derivatives:
         """
         self._state.check_current()
         own = self._state.rows_of(name)
-        areas = np.concatenate(
-            [np.zeros(0), *(p.area for p in self._state.contact_set.all_conditions)]
-        )
-        return self._by_bound(name) * areas[own]
+        return self._by_bound(name) * self._state.areas[own]
 
     def by_coefficient(self, name: str | int) -> Vector:
         """Return the derivatives (k,) of J by Coulomb's coefficient there. Collective."""
@@ -419,6 +416,36 @@ class Adjoint(Derivatives):
         change = self._by_forces.tangential - self._solution.jumps.tangential
         return np.asarray(np.sum(change * self._state.direction, axis=1))
 
+    def by_law(self, name: str | int) -> Vector:
+        """Return the derivatives (k,) of J by the law of an interface. Collective.
+
+        They are by the stiffness [Pa/m] of `SoftContact` or `ElasticBond`, or by the traction [Pa]
+        of `Adhesive`, at the nodes of ``results[name]``.
+        """
+        self._state.check_current()
+        state, own = self._state, self._state.rows_of(name)
+        laws = [found.law for found, _ in state.parts_of(name)]
+        if any(law is None for law in laws):
+            raise InputError(f"contact {name!r} has no law")
+        contacts, on = state.linear.system.contacts, state.linear.active
+        areas, force = state.areas, state.normal_force
+        # with the stiffness k the compliance is C = 1 / (k area)
+        C = compliance_at(contacts, force, on)
+        by_stiffness = -self._forces.normal * force * C**2 * areas
+        apart = ~on & (np.asarray(contacts.adhesion) > 0.0)
+        by_traction = (self._solution.jumps.normal - self._by_forces.normal) * areas
+        return (by_stiffness + np.where(apart, by_traction, 0.0))[own]
+
+    def by_elastic_slip(self, name: str | int) -> Vector:
+        """Return the derivatives (k,) of J by the `elastic_slip` of friction there [m/Pa].
+
+        Collective.
+        """
+        self._state.check_current()
+        state, sites = self._state, self._state.sites_of(name)
+        work = np.sum(self._forces.tangential * state.solution.tangential_force, axis=1)
+        return work[sites] / state.areas[state.rows_of(name)]
+
     def by_load(self, body: str | int) -> Vector:
         """Return the derivatives (modes,) of J by force and moment on a rigid body. Collective.
 
@@ -471,21 +498,31 @@ class Adjoint(Derivatives):
         u = other.jumps(owned_values(state.forms.u), state.solved.bodies)
         z = other.jumps(owned_values(self.z), of_z)
         origin, on = np.asarray(friction.slip), state.linear.active
+        # surfaces that are apart may adhere
+        force = np.where(on, state.normal_force, -np.asarray(contacts.adhesion))
         gap = np.where(on, contacts.gap / contacts.length, 0.0)
-        force = np.where(on, state.solution.normal_force, 0.0)
+        gap += compliance_at(contacts, state.normal_force, on) * force
         bound = state.solution.slip_bound + friction.bound - state.linear.system.friction.bound
         turning = state.direction * bound[:, None]
         tangential = np.where(state.slipping[:, None], turning, state.solution.tangential_force)
         # also where a force turns: b follows the slip there
         rubs = (state.linear.sticking | state.slipping)[:, None]
-        slip = np.where(rubs, origin - u.tangential, 0.0)
+        elastic = np.asarray(friction.compliance)[:, None] * tangential
+        slip = np.where(rubs, origin + elastic - u.tangential, 0.0)
         by_forces = self._functional.by_forces(contacts.normal, friction)
-        of_contacts = np.where(on, adjoint.normal * (gap - u.normal) - force * z.normal, 0.0)
-        of_contacts += by_forces.normal * force
+        of_contacts = np.where(on, adjoint.normal * (gap - u.normal), 0.0)
+        of_contacts += (by_forces.normal - z.normal) * force
         of_sites = adjoint.tangential * slip + tangential * (by_forces.tangential - z.tangential)
         np.add.at(of_contacts, friction.row, of_sites.sum(axis=1))
         of_ties = adjoint.tied * (tied.gap / tied.length - u.tied)
         return np.concatenate([of_contacts, of_ties - state.solution.tied_force * z.tied])
+
+
+def compliance_at(contacts: ContactRows, force: Vector, on: Mask) -> Vector:
+    """Return the compliances (rows,) of rows on the face at their forces; zero for rigid ones."""
+    pressed, pulled = np.asarray(contacts.compliance).T
+    compliance = np.where(force > 0.0, pressed, pulled)
+    return np.where(on & np.isfinite(compliance), compliance, 0.0)
 
 
 def _along_old_tangents(new: Friction, normal: Vector, old: Friction) -> Friction:

@@ -66,6 +66,12 @@ class DifferentiatedState:
         """The normal forces (rows,) [N]."""
         raise NotImplementedError
 
+    @property
+    def areas(self) -> Vector:
+        """The areas (rows,) that belong to contact rows [m^2 or m]."""
+        parts = (conditions.area for conditions in self.contact_set.all_conditions)
+        return np.concatenate([np.zeros(0), *parts])
+
     def check_current(self) -> None:
         """Check that the problem is as it was solved. Collective."""
         if not self.is_current():

@@ -56,7 +56,6 @@ class Change:
         """Return what changes of Functions and Constants, and of contacts, make. Collective."""
         contact_set, force = state.contact_set, state.normal_force
         gap, bound = np.zeros(force.size), np.zeros(state.friction.size)
-        areas = np.concatenate([np.zeros(0), *(p.area for p in contact_set.all_conditions)])
         with raise_collectively(state.torn.nodes.comm):
             for m in data:
                 check_parameter(m)
@@ -64,7 +63,7 @@ class Change:
                 own, values = weights_of_contact(contact_set, name, given, (), f"gaps[{name!r}]")
                 gap[own] += values
             for label, named, factor in (
-                ("slip_bounds", slip_bounds, areas),
+                ("slip_bounds", slip_bounds, state.areas),
                 ("coefficients", coefficients, force),
             ):
                 for name, given in named.items():
@@ -158,6 +157,11 @@ class Tangent:
         first, total = first_of_rank(comm, touching.size)
         if not total:
             return solution
+        if any(found.law is not None for found in state.contact_set.contacts):
+            raise InputError(
+                "one_sided with a law of an interface: nodes that touch have another stiffness on "
+                "each side. Leave one_sided out, or change the data a little"
+            )
         if state.has_coulomb():
             raise InputError(
                 "one_sided with sites that slip by Coulomb's law: the forces of nodes that touch "

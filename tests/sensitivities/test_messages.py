@@ -12,7 +12,7 @@ from sensitivity_scenes import block_on_roller, blocks
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, Deformed, InputError, RigidBody, UnresistedMotion
+from fenics_tfeti import Coulomb, Deformed, InputError, RigidBody, SoftContact, UnresistedMotion
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +50,7 @@ def test_parameter(scene):
     assert "'w' stands in no form" in message(lambda: adjoint.by(unknown))
     assert "is a float" in message(lambda: adjoint.by(1.0))
     assert "has no friction" in message(lambda: adjoint.by_slip_bound("joint"))
+    assert "has no law" in message(lambda: adjoint.by_law("joint"))
     assert "rigid obstacle" in message(lambda: adjoint.by_obstacle("joint"))
     assert "no rigid body 'disc'" in message(lambda: adjoint.by_load("disc"))
     assert "'w' stands in no form" in message(lambda: scene.problem.tangent({unknown: unknown}))
@@ -79,6 +80,14 @@ def test_exact_gaps():
     made.solve()
     one_sided = message(lambda: made.problem.tangent({made.E: made.E}, one_sided=True))
     assert "one_sided with gaps=Deformed()" in one_sided
+
+
+def test_laws():
+    made = blocks(n=3, m=3, law=SoftContact(0.3))
+    made.solve()
+    assert "has no friction" in message(lambda: made.adjoint().by_elastic_slip("joint"))
+    object.__setattr__(made.joint, "law", 3.0)
+    assert "joint: derivatives know no law float" in message(lambda: made.problem.adjoint(made.J))
 
 
 def test_motion_that_nothing_resists():

@@ -22,7 +22,7 @@ from sensitivity_scenes import (
     tied_stack,
 )
 
-from fenics_tfeti import Coulomb, RigidBody, Sphere, Tresca
+from fenics_tfeti import Adhesive, Coulomb, ElasticBond, RigidBody, SoftContact, Sphere, Tresca
 
 KINDS = {
     "node pairs": blocks,
@@ -45,6 +45,16 @@ KINDS = {
         block_on_roller,
         body=RigidBody((0.45, -2.0), force=(0.0, 0.02), rotation=0.0, spring=(0.05, 0.05, 1.0)),
     ),
+    "law, soft": partial(blocks, n=4, m=5, friction=Coulomb(0.2), law=SoftContact(0.3)),
+    "law, node pairs": partial(blocks, law=SoftContact(0.3)),
+    "law, bond": partial(blocks, n=4, m=5, law=ElasticBond(0.3)),
+    "law, adhesive": partial(blocks, n=4, m=5, law=Adhesive(2e-3)),
+    "law, obstacle": partial(block_on_roller, law=SoftContact(0.3)),
+    "elastic slip, Tresca": partial(blocks, friction=Tresca(1.5e-3, elastic_slip=4e-3)),
+    "elastic slip, Coulomb": partial(blocks, n=4, m=5, friction=Coulomb(0.2, elastic_slip=4e-3)),
+    "elastic slip, 3D, Tresca": partial(
+        blocks, "hexahedron", 2, 2, friction=Tresca(1.5e-3, elastic_slip=4e-3)
+    ),
     "exact gaps": partial(blocks, n=4, m=5, gaps=EXACT),
     "exact gaps, node pairs": partial(blocks, gaps=EXACT),
     "exact gaps, degree 2": partial(blocks, "quadrilateral", 2, 3, degree=2, gaps=EXACT),
@@ -65,6 +75,8 @@ PARAMETERS = {
     "gap": lambda s: of_contact(s, "gap", 1e-5),
     "bound": lambda s: of_contact(s, "bound", 1e-5),
     "coefficient": lambda s: of_contact(s, "coefficient", 1e-3),
+    "law": lambda s: of_contact(s, "law", 1e-5),
+    "elastic slip": lambda s: of_contact(s, "elastic slip", 1e-4),
     "nodes": lambda s: of_mesh(s, 2e-4),
 }
 
@@ -73,6 +85,7 @@ PARAMETERS = {
 FACTORS = {
     ("exact gaps, 3D, Coulomb", "coefficient"): 0.2,
     ("exact gaps, obstacle", "modulus"): 4.0,
+    ("law, obstacle", "law"): 20.0,
 }
 
 
@@ -92,12 +105,12 @@ def has(kind, name):
     # with exact gaps they are those of the mesh
     if name == "gap" and any(other in kind for other in ("obstacle", "tied", "body", "exact")):
         return False
-    law = {"bound": "Tresca", "coefficient": "Coulomb"}.get(name)
-    return law is None or law in kind
+    law = {"bound": "Tresca", "coefficient": "Coulomb", "law": "law", "elastic slip": "elastic"}
+    return law.get(name, "") in kind
 
 
 # those of other kinds are for the long run
-QUICK = ("Coulomb, mortar", "3D, Tresca", "body", "exact gaps, Coulomb")
+QUICK = ("Coulomb, mortar", "3D, Tresca", "body", "law, soft", "exact gaps, Coulomb")
 CASES = [
     pytest.param(
         kind,
@@ -110,6 +123,10 @@ CASES = [
 ]
 
 
+# adjoints alone have them
+ALONE = ("law", "elastic slip", "nodes")
+
+
 @pytest.mark.parametrize(("kind", "name"), CASES)
 def test_remainder_of_second_order(kind, name):
     scene = solved(kind)
@@ -120,7 +137,7 @@ def test_remainder_of_second_order(kind, name):
     assert np.all(np.abs(rates - 2.0) < 0.05), rates
 
 
-@pytest.mark.parametrize(("kind", "name"), [case for case in CASES if case.values[1] != "nodes"])
+@pytest.mark.parametrize(("kind", "name"), [case for case in CASES if case.values[1] not in ALONE])
 def test_tangent_is_the_transposed_adjoint(kind, name):
     scene = solved(kind)
     parameter = PARAMETERS[name](scene)

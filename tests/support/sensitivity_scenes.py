@@ -120,6 +120,7 @@ def blocks(
     is_axisymmetric: bool = False,
     comm: MPI.Comm = MPI.COMM_WORLD,
     partners: Any = None,
+    law: Any = None,
     **options: Any,
 ) -> Sensitive:
     """Two blocks of n and m cells along an edge: the upper one is moved down and aside."""
@@ -139,7 +140,7 @@ def blocks(
         crowned(gdim),
         degree=degree,
     )
-    how = {"friction": friction, "roles": "given", "partners": partners}
+    how = {"friction": friction, "roles": "given", "partners": partners, "law": law}
     pair = ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", **how)
     return sensitive(scene, [pair], is_axisymmetric, friction is not None, **options)
 
@@ -242,7 +243,7 @@ def of_constant(m: fem.Constant, step: float) -> Parameter:
 
 
 def of_contact(sensitive: Sensitive, kind: str, step: float) -> Parameter:
-    """Return a change of gap, slip bound or coefficient of the first contact."""
+    """Return a change of gap, of the law, or of friction of the first contact."""
     problem, contact = sensitive.problem, sensitive.joint
     comm = sensitive.scene.mesh.comm
 
@@ -250,10 +251,12 @@ def of_contact(sensitive: Sensitive, kind: str, step: float) -> Parameter:
         if kind == "gap":
             gap = crown_gap(sensitive.scene.gdim)
             return replace(contact, initial_gap=lambda X: gap(X) + s * (1.0 + X[0]))
+        field = "law" if kind == "law" else "friction"
+        law, last = getattr(contact, field), kind == "elastic slip"
         # the bound or the coefficient comes first
-        name, value = next(iter(vars(contact.friction).items()))
-        law = replace(contact.friction, **{name: lambda X: value + s * (1.0 + X[0])})
-        return replace(contact, friction=law)
+        name, value = list(vars(law).items())[-1 if last else 0]
+        law = replace(law, **{name: lambda X: value + s * (1.0 + X[0])})
+        return replace(contact, **{field: law})
 
     def set_value(s: float) -> None:
         problem.contacts = [changed(s), *problem.contacts[1:]]
@@ -267,13 +270,18 @@ def of_contact(sensitive: Sensitive, kind: str, step: float) -> Parameter:
         along = (sensitive.solve().gap - result.gap) / step
         along = np.where(np.isfinite(along), along, 0.0)
         set_value(0.0)
-    by = {"gap": "by_gap", "bound": "by_slip_bound", "coefficient": "by_coefficient"}[kind]
-    to = {"gap": "gaps", "bound": "slip_bounds", "coefficient": "coefficients"}[kind]
+    by, to = {
+        "gap": ("by_gap", "gaps"),
+        "bound": ("by_slip_bound", "slip_bounds"),
+        "coefficient": ("by_coefficient", "coefficients"),
+        "law": ("by_law", None),
+        "elastic slip": ("by_elastic_slip", None),
+    }[kind]
 
     def slope(adjoint: Any) -> float:
         return comm.allreduce(float(getattr(adjoint, by)(0) @ along))
 
-    return Parameter(set_value, slope, {to: {0: along}}, step)
+    return Parameter(set_value, slope, {to: {0: along}} if to else None, step)
 
 
 def mesh_direction(sensitive: Sensitive) -> fem.Function:
@@ -350,6 +358,7 @@ def block_on_roller(
     cell: str = "triangle",
     body: RigidBody | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
+    law: Any = None,
     **arguments: Any,
 ) -> Sensitive:
     """Return a block pressed onto a rigid roller or ball, which is held or moves."""
@@ -360,7 +369,7 @@ def block_on_roller(
     scene = Scene.of_boxes(comm, cell, [box], marks)
     scene.cell_tags = None
     ball = Sphere([*[0.45] * up, -2.0], 2.0)
-    scene.add_obstacle(GROUND, ball, name="joint", friction=friction, rigid_body=body)
+    scene.add_obstacle(GROUND, ball, name="joint", friction=friction, rigid_body=body, law=law)
     moves_aside = friction is not None
     return sensitive(scene, scene.contacts, False, moves_aside, LOADED, **arguments)
 
