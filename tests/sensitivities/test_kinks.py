@@ -1,5 +1,7 @@
 """Nodes that touch without a force: derivatives of one side."""
 
+from dataclasses import replace
+
 from mpi4py import MPI
 
 import numpy as np
@@ -8,7 +10,7 @@ from scenes import CLAMPED, GROUND, LOADED, SLAVE, Scene, at, plane, pressed_blo
 
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, InputError
+from fenics_tfeti import Coulomb, InputError, SoftContact
 
 OPTIONS = {"rtol": 1e-12}
 
@@ -45,6 +47,15 @@ def test_by_default_nodes_that_touch_open():
     scene, problem, top = touching_block("triangle")
     tangent = problem.tangent({top: -1.0}, rtol=1e-12)
     assert not tangent.nodal_normal_force(0).any()
+
+
+def test_one_sided_with_a_law():
+    scene, _, top = touching_block("triangle")
+    scene.contacts[0] = replace(scene.contacts[0], law=SoftContact(1e9))
+    problem = scene.problem(options=OPTIONS)
+    problem.solve()
+    with pytest.raises(InputError, match="one_sided with a law of an interface"):
+        problem.tangent({top: 1.0}, one_sided=True)
 
 
 def test_one_sided_with_sites_that_slip():

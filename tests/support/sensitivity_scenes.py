@@ -151,6 +151,7 @@ def sensitive(
     is_axisymmetric: bool = False,
     moves_aside: bool = True,
     clamped: int = CLAMPED,
+    down: float = 0.012,
     **arguments: Any,
 ) -> Sensitive:
     """Give a scene its forms: Young's modulus by cell, a body force, and a traction on a side.
@@ -171,7 +172,7 @@ def sensitive(
     L += factor * ufl.dot(traction, scene.v) * scene.ds(SIDE_X)
     clamp, top = fem.Function(V, name="clamp"), fem.Function(V, name="top")
     aside = 6e-3 if moves_aside else 0.0
-    top.interpolate(lambda x: np.stack([*[0 * x[0] + aside] * up, 0 * x[0] - 0.012]))
+    top.interpolate(lambda x: np.stack([*[0 * x[0] + aside] * up, 0 * x[0] - down]))
     if clamped == LOADED:
         clamp.interpolate(top)
     else:
@@ -359,17 +360,23 @@ def block_on_roller(
     body: RigidBody | None = None,
     comm: MPI.Comm = MPI.COMM_WORLD,
     law: Any = None,
+    obstacle: Any = None,
+    others: Callable[[Scene], list[Any]] = lambda scene: [],
     **arguments: Any,
 ) -> Sensitive:
-    """Return a block pressed onto a rigid roller or ball, which is held or moves."""
+    """Return a block pressed onto a rigid roller or ball, which is held or moves.
+
+    There may be another obstacle in place of that, and other contacts.
+    """
     gdim = dimension(cell)
     up, n = gdim - 1, 5 if gdim == 2 else 3
     marks = [(GROUND, at(up, 0.0)), (LOADED, at(up, 1.0)), (SIDE_X, at(0, 1.0))]
     box = (0.0,) * gdim, (1.0,) * gdim, (n,) * gdim
     scene = Scene.of_boxes(comm, cell, [box], marks)
     scene.cell_tags = None
-    ball = Sphere([*[0.45] * up, -2.0], 2.0)
+    ball = obstacle or Sphere([*[0.45] * up, -2.0], 2.0)
     scene.add_obstacle(GROUND, ball, name="joint", friction=friction, rigid_body=body, law=law)
+    scene.contacts += others(scene)
     moves_aside = friction is not None
     return sensitive(scene, scene.contacts, False, moves_aside, LOADED, **arguments)
 
