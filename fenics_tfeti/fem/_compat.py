@@ -107,6 +107,22 @@ def lagrange_space(
         return fem.FunctionSpace(domain, (family, degree))
 
 
+def symbolic_space(domain: mesh.Mesh, degree: int, components: int) -> ufl.FunctionSpace:
+    """Return a space of discontinuous Lagrange functions, for forms that are compiled alone.
+
+    - 0.5.2 has elements of UFL, 0.9 to 0.11 those of ``basix.ufl``.
+    """
+    name = cell_name(domain)
+    if hasattr(ufl, "VectorElement"):
+        family = "DG" if reference_cell(name).is_simplex else "DQ"
+        element = ufl.VectorElement(family, domain.ufl_cell(), degree, dim=components)
+    else:
+        import basix.ufl
+
+        element = basix.ufl.element("DG", name, degree, shape=(components,))
+    return ufl.FunctionSpace(domain.ufl_domain(), element)
+
+
 def element_facts(space: fem.FunctionSpace) -> tuple[str, int, tuple[int, ...]]:
     """Return family ("Lagrange", "Discontinuous Lagrange", ...), degree and value shape.
 

@@ -64,6 +64,6 @@ def test_tractions_are_as_on_one_rank():
     for comm in (COMM, MPI.COMM_SELF):
         problem = posed(unlike(comm))
         problem.solve()
-        (squares,), _ = cells_of(problem).energies(steps=0)
+        squares, _ = cells_of(problem).energies(steps=0)
         sums.append(comm.allreduce(squares.sum(axis=0)))
     assert sums[0] == pytest.approx(sums[1], rel=1e-6)

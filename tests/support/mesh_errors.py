@@ -22,7 +22,6 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, Coulomb, Plane, Sphere
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import prepare_form
-from fenics_tfeti.fem.geometry.reference_cells import lagrange_points, shape_values
 from fenics_tfeti.fem.mesh_error.estimate import MeshErrorProblem
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
@@ -211,10 +210,10 @@ def true_error(problem: ContactProblem, fine: ContactProblem, scene: Scene) -> f
     e = differences[0] - differences[1]
     v, u = scene.a.arguments()
     form = ufl.replace(scene.a, {u: ufl.TrialFunction(W), v: ufl.TestFunction(W)})
-    prepared = prepare_form(W, form, "form", exterior_cell_facets(Vf.mesh))
+    prepared = prepare_form(Vf.mesh, form, "form", exterior_cell_facets(Vf.mesh))
     total = 0.0
     for part in np.array_split(cells.astype(np.int32), max(1, len(x) // 4000)):
-        A = prepared.element_tensors(W, part)
+        A = prepared.element_tensors(Vf.mesh, gdim * dofs.shape[1], part)
         total += np.einsum("ki,kij,kj->", e[part], A, e[part])
     return float(np.sqrt(total))
 
@@ -248,14 +247,12 @@ def distance(cells: MeshErrorProblem, way: int) -> float:
     The contact forces, as tractions shared in one way, are its loads. It is found in a space of
     continuous functions, by what the solution's own forces leave.
     """
-    faces, broken, kinds = cells.faces, cells.neumann.space, cells.kinds
+    faces, kinds, rows = cells.faces, cells.kinds, np.arange(cells.faces.size)
     gdim, degree = faces.dim, faces.degree + 1
-    A = cells.neumann.bilinear.element_tensors(broken, faces.cells)
-    points = lagrange_points(faces.kind.name, degree)
-    u = shape_values(faces.kind.name, faces.degree, points) @ cells.u
-    b = cells.neumann.linear.element_tensors(broken, faces.cells)
-    b -= np.einsum("kij,kj->ki", A, u.reshape(len(u), -1))
-    of_ways = cells.tractions.of(np.arange(faces.size))
+    A, of_cells = cells.neumann.stiffness(rows), cells.u(rows)
+    b = cells.neumann.loads(rows, of_cells, np.zeros((faces.size, cells.neumann.lift.shape[1], 1)))
+    b = b[..., 0]
+    of_ways = cells.tractions.of(rows)
     m = of_ways[..., min(way, of_ways.shape[-1] - 1)] * kinds.contact[:, :, None, None]
     b += m.reshape(len(m), -1) @ cells.neumann.lift.T
     W = _compat.lagrange_space(faces.space.mesh, degree, gdim)

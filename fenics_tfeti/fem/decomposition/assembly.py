@@ -95,7 +95,7 @@ class PreparedForms:
         load, chosen = np.zeros(block * ends[-1]), np.concatenate(cells)
         nodes = np.concatenate(tables[1:] or tables)
         for batch in batches(chosen.size, _CELLS):
-            vectors = self.linear.element_tensors(self.space, chosen[batch])
+            vectors = self.cell_loads(chosen[batch])
             unknowns = block * nodes[batch, :, None] + np.arange(block)
             # cells are part by part: few parts at once
             first = unknowns.min()
@@ -105,7 +105,16 @@ class PreparedForms:
 
     def cell_matrices(self, cells: Indices) -> Vector:
         """Return the matrices (m, n, n) of some of this rank's cells, their nodes in order."""
-        return self.bilinear.element_tensors(self.space, cells)
+        return self.bilinear.element_tensors(self.space.mesh, self.size, cells)
+
+    def cell_loads(self, cells: Indices) -> Vector:
+        """Return the loads (m, n) of some of this rank's cells."""
+        return self.linear.element_tensors(self.space.mesh, self.size, cells)
+
+    @property
+    def size(self) -> int:
+        """The number of unknowns of a cell."""
+        return _compat.cell_dofs(self.space).shape[1] * int(self.space.dofmap.index_map_bs)
 
     def values(self) -> FormValues:
         """Return the present values of the forms' coefficients and constants. Collective."""
@@ -167,8 +176,8 @@ def prepare_forms(
     exterior = exterior_cell_facets(space.mesh)
     return PreparedForms(
         space,
-        prepare_form(space, a, "bilinear form a (the stiffness)", exterior, compiler),
-        prepare_form(space, L, "linear form L (the load)", exterior, compiler),
+        prepare_form(space.mesh, a, "bilinear form a (the stiffness)", exterior, compiler),
+        prepare_form(space.mesh, L, "linear form L (the load)", exterior, compiler),
     )
 
 
@@ -258,18 +267,22 @@ class TornMesh:
         with self._timer.phase("assembly"):
             return self.forms.subdomains(self._parts, known, self._nodes)
 
-    def at_cells(self, displacements: Sequence[Vector]) -> tuple[Indices, Vector]:
-        """Return the cells of the subdomains, and their nodes' displacements (cells, n, gdim).
+    def at_cells(self, displacements: Sequence[Vector]) -> tuple[Indices, Vector, Indices]:
+        """Return the cells of the subdomains, displacements (nodes, gdim), and rows (cells, n).
 
-        Displacements (n_i,) are those of the subdomains; those of rigid bodies may follow.
+        Displacements (n_i,) are those of the subdomains; those of rigid bodies may follow. Rows are
+        those of the nodes of cells.
         """
         gdim = self._space.dofmap.index_map_bs
-        cells = [np.zeros(0, dtype=np.int32)]
-        values = [np.zeros((0, _compat.cell_dofs(self._space).shape[1], gdim))]
+        cells, values = [np.zeros(0, dtype=np.int32)], [np.zeros((0, gdim))]
+        rows = [np.zeros((0, _compat.cell_dofs(self._space).shape[1]), dtype=np.int32)]
+        first = 0
         for part, u in zip(self._parts, displacements, strict=False):
             cells.append(part.cells)
-            values.append(u.reshape(-1, gdim)[part.table])
-        return np.concatenate(cells), np.concatenate(values)
+            values.append(u.reshape(-1, gdim))
+            rows.append(part.table + np.int32(first))
+            first += len(values[-1])
+        return np.concatenate(cells), np.concatenate(values), np.concatenate(rows)
 
     def matrices(self, forms: PreparedForms) -> list[sp.csr_matrix]:
         """Return the matrices of other forms on the subdomains. Collective."""

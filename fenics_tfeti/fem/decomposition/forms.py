@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import ufl
-from dolfinx.fem import Function, FunctionSpace
+from dolfinx.fem import Function
 from dolfinx.mesh import Mesh
 from ufl import geometry
 from ufl.corealg.traversal import traverse_unique_terminals
@@ -78,11 +78,9 @@ class PreparedForm:
             return np.nonzero(numbers != _NOWHERE)
         return np.nonzero(numbers == self.ids[kind].index(tag))
 
-    def element_tensors(self, space: FunctionSpace, cells: Indices) -> Vector:
+    def element_tensors(self, domain: Mesh, n: int, cells: Indices) -> Vector:
         """Return the vectors (m, n) or matrices (m, n, n) of some cells, their nodes in order."""
-        n = _compat.cell_dofs(space).shape[1] * space.dofmap.index_map_bs
         tensors = np.zeros((cells.size, *(n,) * len(self.form.arguments())))
-        domain = space.mesh
         coordinates = domain.geometry.x[_compat.geometry_cells(domain)[cells]]
         for compiled in self.compiled:
             values = [_values_of_cells(w, cells) for w in compiled.coefficients]
@@ -108,7 +106,7 @@ class PreparedForm:
 
 
 def prepare_form(
-    space: FunctionSpace,
+    domain: Mesh,
     form: ufl.Form,
     name: str,
     exterior: Mask,
@@ -119,7 +117,6 @@ def prepare_form(
     `name` is that of the form in messages; `exterior` (cells, facets of a cell) marks the facets of
     owned cells that are on the boundary of the mesh.
     """
-    domain = space.mesh
     ids = {kind: _tagged_ids(form, kind) for kind in _MEASURES}
     with raise_collectively(domain.comm):
         for kind in (integral.integral_type() for integral in form.integrals()):

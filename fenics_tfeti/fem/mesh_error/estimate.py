@@ -7,8 +7,9 @@ degree more; with the work of contact pressures over gaps they estimate the erro
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -20,9 +21,11 @@ from dolfinx.fem import Function, FunctionSpace
 from fenics_tfeti.errors import InputError, check_value
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
+from fenics_tfeti.fem.decomposition.round_parts import cut_into_slabs
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.mesh_error.cell_loops import ordered, subtract_internal
 from fenics_tfeti.fem.mesh_error.contact import at_local_nodes, facets_of, gap_energies
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.neumann import NeumannProblems
@@ -33,18 +36,19 @@ from fenics_tfeti.fem.mesh_error.tractions import (
     Tractions,
     equilibrated_tractions,
     over_ranks,
+    own_moments,
 )
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import exterior_facets, owned_cells, vertex_nodes
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
+from fenics_tfeti.typing import Indices, Numbers, Vector
 
 # steps of conjugate gradients: more of them make the estimate smaller by a hundredth
 _STEPS = 5
 # bytes of the matrices of the cells that are kept at once
-_BYTES = 2**26
+_BYTES = 2**25
 # cells whose forces are computed at once
 _CELLS = 2**12
 # forces of a cell, relative to those of its stiffness and displacements one by one, that are none
@@ -336,15 +340,13 @@ class MeshErrorProblem:
     ) -> None:
         self.torn, self.nodes, self.solved, self._is_exact = torn, torn.nodes, solved, is_exact
         self.is_linearised = linearised_at is not None
-        cells, self.u = torn.torn.at_cells(displacements)  # (k,), (k, n, d)
-        self._total, moves = self.u, None
+        cells, self._displacements, self._of_cells = torn.torn.at_cells(displacements)
+        moves = None
         if linearised_at is not None:
-            nodal = linearised_at.x.array.reshape(-1, self.u.shape[2])
-            self._total = moves = nodal[_compat.cell_dofs(torn.space)[cells]]
-            self.u = np.zeros_like(self.u)
+            nodal = linearised_at.x.array.reshape(-1, torn.space.mesh.geometry.dim)
+            moves = nodal[_compat.cell_dofs(torn.space)[cells]]
+        self._moves = moves
         self.faces = CellFaces(torn.space, cells, moves)
-        self.kinds = self._kinds()
-        self.tractions = self._tractions()
         forms = torn.torn.forms
         self.neumann = NeumannProblems(
             self.faces,
@@ -353,6 +355,18 @@ class MeshErrorProblem:
             torn.compiler,
             self.is_linearised,
         )
+        self._groups = self._in_groups()
+        self.kinds = self._kinds()
+        self.tractions = self._tractions()
+
+    def u(self, rows: Numbers | slice) -> Vector:
+        """Return the displacements (g, n, d) of some cells, zero at finite strains [m]."""
+        u = self._displacements[self._of_cells[rows]]
+        return np.zeros_like(u) if self.is_linearised else u
+
+    def _total(self, rows: Numbers | slice, u: Vector) -> Vector:
+        """Return the total displacements, at finite strains other ones."""
+        return u if self._moves is None else self._moves[rows]
 
     def _kinds(self) -> FacetKinds:
         """Find what acts on facets. Collective."""
@@ -370,76 +384,76 @@ class MeshErrorProblem:
 
     def _tractions(self) -> Tractions:
         """Find tractions in equilibrium. Collective."""
-        space, forms = self.faces.space, self.torn.torn.forms
-        W = _compat.lagrange_space(
-            space.mesh, self.faces.degree, self.faces.dim, discontinuous=True
-        )
-        w = Function(W)
-        values = w.x.array.reshape(-1, self.faces.dim)
-        values[_compat.cell_dofs(W)[self.faces.cells]] = self.u
-        points = self.faces.rule.points
-        stress = CellStress(forms.bilinear, forms.linear, w, points.reshape(-1, self.faces.dim))
-        residual, rounding = np.zeros_like(self.u), 0.0
-        for batch in batches(self.faces.size, _CELLS):
-            cells, u, total = self.faces.cells[batch], self.u[batch], self._total[batch]
-            A = forms.cell_matrices(cells)
-            internal = A @ u.reshape(len(u), -1, 1)
-            load = forms.linear.element_tensors(space, cells)
-            residual[batch] = (load - internal[:, :, 0]).reshape(u.shape)
-            sizes = np.abs(A) @ np.abs(total).reshape(len(u), -1, 1)
-            rounding = max(rounding, _ROUNDING * float(sizes.max(initial=0.0)))
-        return equilibrated_tractions(
-            self.faces, self.nodes, self.kinds, stress, residual, rounding
-        )
+        own = own_moments(self.faces, self._stress())
+        residual, rounding = self._forces()
+        return equilibrated_tractions(self.faces, self.nodes, self.kinds, own, residual, rounding)
 
-    def energies(self, steps: int = _STEPS) -> tuple[list[Vector], Vector]:
-        """Return the squares (k, 2) of the errors after 0, 1, ... steps, and energies (k,) [J].
+    def _stress(self) -> CellStress:
+        """Return the stress of the torn displacements. Collective."""
+        faces, forms = self.faces, self.torn.torn.forms
+        W = _compat.lagrange_space(faces.space.mesh, faces.degree, faces.dim, discontinuous=True)
+        w = Function(W)
+        values, dofs = w.x.array.reshape(-1, faces.dim), _compat.cell_dofs(W)
+        for batch in batches(faces.size, _CELLS):
+            values[dofs[faces.cells[batch]]] = self.u(batch)
+        points = faces.stress_rule.points.reshape(-1, faces.dim)
+        return CellStress(forms.bilinear, forms.linear, w, points)
+
+    def _forces(self) -> tuple[Vector, float]:
+        """Return the forces L - a(u, .) (k, n, d) of each cell, and what rounding may make [N]."""
+        faces, forms = self.faces, self.torn.torn.forms
+        residual, rounding = np.zeros((*faces.nodes.shape, faces.dim)), 0.0
+        for batch in batches(faces.size, _CELLS):
+            cells, u = faces.cells[batch], self.u(batch)
+            A, load = forms.cell_matrices(cells), forms.cell_loads(cells)
+            number = np.arange(len(u), dtype=np.int32)
+            subtract_internal(number, A, u.reshape(len(u), -1), load[:, :, None])
+            residual[batch] = load.reshape(u.shape)
+            total = np.abs(self._total(batch, u)).reshape(len(u), -1)
+            sizes = np.zeros_like(load)
+            subtract_internal(number, np.abs(A), total, sizes[:, :, None])
+            rounding = max(rounding, -_ROUNDING * float(sizes.min(initial=0.0)))
+        return residual, rounding
+
+    def energies(self, steps: int = _STEPS) -> tuple[Vector, Vector]:
+        """Return the squares (k, 2) of the errors after some steps, and energies (k,) [J].
 
         The squares are those with contact forces shared in two ways.
         """
-        errors = [np.zeros((self.faces.size, 2)) for _ in range(steps + 1)]
-        energies = np.zeros(self.faces.size)
-        for rows in self._groups():
-            of_group = self.neumann.energies(
-                rows, self.u[rows], self._total[rows], self.tractions.of(rows)
-            )
+        errors, energies = np.zeros((self.faces.size, 2)), np.zeros(self.faces.size)
+        order, first = self._groups
+        for begin, end in pairwise(first):
+            rows = order[begin:end].astype(np.int64)
+            u = self.u(rows)
+            moments = self.tractions.of(rows)
+            of_group = self.neumann.energies(rows, u, self._total(rows, u), moments)
             energies[rows] = of_group.solution
-            history = improved_energies(self.faces, rows, self._free(rows), of_group, steps)
-            for total, squares in zip(errors, history, strict=True):
-                total[rows] = squares
+            errors[rows] = improved_energies(self.neumann, rows, self.kinds, of_group, steps)
         return errors, energies
 
     def gap_energies(self) -> Vector:
         """Return the energies (k, 2) of contact pressures over gaps [J]. Collective."""
         return gap_energies(self.faces, self.nodes, self.solved, self._is_exact)
 
-    def _groups(self) -> Iterator[Numbers]:
-        """Yield the rows of cells whose matrices are kept at once; cells are neighbours."""
-        count = -(-self.faces.size * 3 * self.neumann.bytes // _BYTES)
-        if count <= 1:
-            yield np.arange(self.faces.size)
-            return
-        cells = self.faces.cells
-        graph = self.torn.bodies.graph[cells][:, cells]
-        label = _compat.partition_graph(graph.indptr, graph.indices, count)
-        for number in range(count):
-            if (rows := np.flatnonzero(label == number)).size:
-                yield rows
+    def _in_groups(self) -> tuple[Indices, Indices]:
+        """Return the rows of cells, group by group of neighbours, and the first of each group.
 
-    def _free(self, rows: Numbers) -> Mask:
-        """Return the moments (g, f, d) that may change: none between these cells and others."""
-        facets = self.faces.facets[rows]
-        _, inverse, count = np.unique(facets, return_inverse=True, return_counts=True)
-        is_between = (count[inverse.ravel()] == 2).reshape(facets.shape)
-        may_change = is_between | self.kinds.single[rows]
-        return np.asarray(self.kinds.free[rows] & may_change[:, :, None])
+        The matrices of a group are kept at once.
+        """
+        faces = self.faces
+        count = -(-faces.size * self.neumann.bytes // _BYTES)
+        if count <= 1:
+            return np.arange(faces.size, dtype=np.int32), np.array([0, faces.size], dtype=np.int32)
+        graph = self.torn.bodies.graph[faces.cells][:, faces.cells]
+        label = cut_into_slabs(graph, faces.node_points(1).mean(axis=1), count)
+        return ordered(label, int(label.max()) + 1)
 
 
 def estimate_mesh_error(problem: MeshErrorProblem, iterations: float) -> MeshError:
     """Estimate the error of the mesh, beside that of the iterations. Collective."""
     comm, faces = problem.nodes.comm, problem.faces
-    history, energies = problem.energies()
-    squares = np.maximum(history[-1], 0.0) + problem.gap_energies()
+    squares, energies = problem.energies()
+    squares = np.maximum(squares, 0.0) + problem.gap_energies()
     # the better of two ways to share contact forces
     totals = comm.allreduce(squares.sum(axis=0))
     squares = squares[:, int(totals.argmin())]

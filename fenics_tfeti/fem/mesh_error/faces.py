@@ -36,10 +36,10 @@ class FacetRule:
 
     @staticmethod
     @cache
-    def of(name: str, degree: int) -> FacetRule:
-        """Return a rule for loads and pressures on facets with nodes of a degree."""
+    def of(name: str, degree: int, order: int) -> FacetRule:
+        """Return a rule for polynomials of an order on facets with nodes of a degree."""
         kind = reference_cell(name)
-        x, weights = quadrature(kind.facet.name, 2 * degree + 4)
+        x, weights = quadrature(kind.facet.name, order)
         corners = np.asarray(basix.geometry(getattr(basix.CellType, name)))
         outward = np.asarray(basix.cell.facet_outward_normals(getattr(basix.CellType, name)))
         points, traces, normals = [], [], []
@@ -74,12 +74,18 @@ class CellFaces:
         self.space, self.cells = space, cells
         self.kind: ReferenceCell = cell_type(domain)
         self.dim, self.degree = self.kind.dim, _compat.element_facts(space)[1]
-        self.rule = FacetRule.of(self.kind.name, self.degree)
+        order = 2 * self.degree
+        # loads and pressures, and stresses on facets: those of flat ones are polynomials
+        self.rule = FacetRule.of(self.kind.name, self.degree, order + 4)
         self.closure: Numbers = np.array(self.kind.facet_nodes(self.degree))  # (f, t)
         self.corners: Numbers = np.array(self.kind.facet_nodes(1))  # (f, v)
         self.nodes: Indices = _compat.cell_dofs(space)[cells]  # (k, n): local nodes
         self.facets: Indices = cell_facets(domain)[cells]  # (k, f): local facets
-        self._geometry, self._moves = _compat.geometry_degree(domain), moves
+        self.geometry_degree, self._moves = _compat.geometry_degree(domain), moves
+        self._is_affine = self.kind.is_simplex and self.geometry_degree == 1
+        self.stress_rule = (
+            FacetRule.of(self.kind.name, self.degree, order) if self._is_affine else self.rule
+        )
 
     @property
     def size(self) -> int:
@@ -102,7 +108,7 @@ class CellFaces:
 
     def points(self, reference: Vector, rows: Numbers | slice = slice(None)) -> Vector:
         """Return the places (k, q, d) of points of the reference cell [m]."""
-        shapes = shape_values(self.kind.name, self._geometry, reference)
+        shapes = shape_values(self.kind.name, self.geometry_degree, reference)
         return np.asarray(np.matmul(shapes, self._coordinates(rows)))
 
     def node_points(self, degree: int, rows: Numbers | slice = slice(None)) -> Vector:
@@ -114,20 +120,21 @@ class CellFaces:
         moves = shape_values(self.kind.name, self.degree, reference) @ self._moves[rows]
         return np.asarray(places + moves)
 
-    def weighted_normals(self, rows: Numbers | slice = slice(None)) -> Vector:
-        """Return the outward normals n dS (k, f, q, d) at the points of the facets' rule."""
-        x, rule = self._coordinates(rows), self.rule
-        is_affine = self.kind.is_simplex and self._geometry == 1
+    def weighted_normals(
+        self, rows: Numbers | slice = slice(None), rule: FacetRule | None = None
+    ) -> Vector:
+        """Return the outward normals n dS (k, f, q, d) at the points of a rule on the facets."""
+        x, rule = self._coordinates(rows), rule or self.rule
         weighted = []
         for points, normal in zip(rule.points, rule.normals, strict=True):
-            J = self._jacobians(x, points[:1] if is_affine else points)
+            J = self._jacobians(x, points[:1] if self._is_affine else points)
             normals = _along_areas(J, normal)
             weighted.append(normals * rule.weights[:, None])
         return np.stack(weighted, axis=1)
 
     def volumes(self) -> Vector:
         """Return the volumes (k,) of the cells, or their areas [m^d]."""
-        points, weights = quadrature(self.kind.name, 2 * self._geometry * self.dim)
+        points, weights = quadrature(self.kind.name, 2 * self.geometry_degree * self.dim)
         J = self._jacobians(self._coordinates(slice(None)), points)
         return np.asarray(np.abs(np.linalg.det(J)) @ weights)
 
@@ -138,7 +145,7 @@ class CellFaces:
 
     def _jacobians(self, x: Vector, points: Vector) -> Vector:
         """Return the derivatives (k, q, d, d) of places by coordinates of the reference cell."""
-        gradients = shape_gradients(self.kind.name, self._geometry, points)
+        gradients = shape_gradients(self.kind.name, self.geometry_degree, points)
         return np.stack([np.matmul(D, x) for D in gradients], axis=-1)
 
 

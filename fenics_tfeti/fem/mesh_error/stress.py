@@ -23,7 +23,7 @@ from ufl.differentiation import Grad
 
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import PreparedForm
-from fenics_tfeti.typing import Indices, Vector
+from fenics_tfeti.typing import Indices, Mask, Vector
 
 
 class CellStress:
@@ -48,10 +48,14 @@ class CellStress:
         total = np.zeros((cells.size, self._points, self._dim, self._dim))
         for form, sign, tags, compiled in self._parts:
             values = _compat.evaluate_expression(compiled, self._domain, cells)
-            on = sign * form.has_tag("cell", cells, tags)
-            total += values.reshape(total.shape) * on[:, None, None, None]
+            values = sign * values.reshape(total.shape)
+            total += values if tags is None else values * _column(form.has_tag("cell", cells, tags))
         # on the axis of rotation the hoop strain is u_r / r, and its factor r
-        return np.nan_to_num(total)
+        return total if np.isfinite(total).all() else np.nan_to_num(total)
+
+
+def _column(mask: Mask) -> Mask:
+    return mask[:, None, None, None]
 
 
 def _stresses(form: ufl.Form, v: Argument) -> list[tuple[Any, Any]]:

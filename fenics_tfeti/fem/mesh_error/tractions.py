@@ -7,13 +7,14 @@ contacts and ties carry the forces that are missing in the balance of all cells 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from fenics_tfeti.errors import InputError, format_point
 from fenics_tfeti.fem.geometry.batches import batches
+from fenics_tfeti.fem.mesh_error.cell_loops import balance_nodes, ordered
 from fenics_tfeti.fem.mesh_error.faces import CellFaces, add_rows
 from fenics_tfeti.fem.mesh_error.node_problems import (
     CellForces,
@@ -30,8 +31,6 @@ from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 # cells whose own tractions are computed at once
 _CELLS = 2**12
-# pairs of a cell and a node that are balanced at once
-_PAIRS = 2**15
 # nodes with a contact force have more of it than this, relative to the largest one
 _LOADED = 1e-6
 # forces that are out of balance, relative to the largest force of a cell, are those of a support or
@@ -93,13 +92,14 @@ def equilibrated_tractions(
     faces: CellFaces,
     nodes: NodeMap,
     kinds: FacetKinds,
-    stress: CellStress,
+    own: Vector,
     residual: Vector,
     rounding: float,
 ) -> Tractions:
     """Find tractions for forces r = L - a(u, .) (k, n, d) of each cell [N]. Collective.
 
-    Forces up to the rounding [N] are none.
+    `own` are moments (k, f, t, d) of the cells' own stress. Both change. Forces up to the rounding
+    [N] are none.
 
     Raises
     ------
@@ -116,9 +116,9 @@ def equilibrated_tractions(
     loaded = sizes > _LOADED * largest_of_ranks(nodes.comm, sizes)
     pressing = loaded[faces.facet_corners()].all(axis=2) & kinds.contact
     known = ContactMoments.of(faces, nodes, kinds, pressing, force)
-    problems = _TractionProblems(faces, nodes, kinds, residual, known, _own_moments(faces, stress))
-    problems.solve()
     largest = _UNBALANCED * largest_of_ranks(nodes.comm, np.abs(residual))
+    problems = _TractionProblems(faces, nodes, kinds, residual, known, own)
+    problems.solve()
     largest += largest_of_ranks(nodes.comm, np.array([rounding]))
     _check_balance(nodes, problems.imbalance, largest)
     return Tractions(*problems.moments(), pressing, kinds.free)
@@ -134,25 +134,33 @@ def over_ranks(nodes: NodeMap, values: Array, ufunc: np.ufunc = np.add) -> Array
 
 def _single(faces: CellFaces, nodes: NodeMap) -> Mask:
     """Tell which facets (k, f) have one deformable cell alone. Collective."""
-    domain = faces.space.mesh
-    numbers = global_numbers(domain.topology.index_map(faces.dim - 1), faces.facets).ravel()
-    distinct, inverse, count = np.unique(numbers, return_inverse=True, return_counts=True)
+    facet_map = faces.space.mesh.topology.index_map(faces.dim - 1)
+    size = facet_map.size_local + facet_map.num_ghosts
+    count = np.bincount(faces.facets.ravel(), minlength=size)
     if nodes.comm.size > 1:
-        directory = Directory(nodes.comm, distinct)
-        _, count = directory.lookup(distinct, directory.sums(distinct, count.astype(float)))
-    return np.asarray(count[inverse.ravel()] == 1).reshape(faces.facets.shape)
+        used = np.flatnonzero(count)
+        numbers = global_numbers(facet_map, used)
+        directory = Directory(nodes.comm, numbers)
+        sums = directory.sums(numbers, count[used].astype(float))
+        count[used] = directory.lookup(numbers, sums)[1]
+    return np.asarray((count == 1)[faces.facets])
 
 
-def _own_moments(faces: CellFaces, stress: CellStress) -> Vector:
+def own_moments(faces: CellFaces, stress: CellStress) -> Vector:
     """Return the moments (k, f, t, d) of each cell's own stress on its facets [N]."""
-    rule = faces.rule
-    shape = (*rule.points.shape[:2], faces.dim, faces.dim)
-    own = [np.zeros((0, *faces.closure.shape, faces.dim))]
+    rule, d = faces.stress_rule, faces.dim
+    f, q, t = rule.traces.shape
+    own = np.zeros((faces.size, f, t, d))
     for batch in batches(faces.size, _CELLS):
-        T = stress.at(faces.cells[batch]).reshape(-1, *shape)
-        tractions = np.einsum("kfqij,kfqj->kfqi", T, faces.weighted_normals(batch))
-        own.append(np.einsum("kfqi,fqt->kfti", tractions, rule.traces))
-    return np.concatenate(own)
+        T = stress.at(faces.cells[batch]).reshape(-1, f, q, d, d)
+        normals = faces.weighted_normals(batch, rule)
+        tractions = np.zeros((len(T), f, q, d))
+        for j in range(d):
+            tractions += T[..., j] * normals[..., j, None]
+        for facet, point, node in np.ndindex(f, q, t):
+            weight = rule.traces[facet, point, node]
+            own[batch, facet, node] += weight * tractions[:, facet, point]
+    return own
 
 
 @dataclass(frozen=True)
@@ -227,20 +235,15 @@ class _TractionProblems:
         self.imbalance = np.zeros((nodes.size, faces.dim))
 
     def solve(self) -> None:
-        """Solve the problems, of a part of the nodes at once. Collective."""
+        """Solve the problems of all nodes. Collective."""
         faces, nodes = self._faces, self._nodes
         differ = (self._at_nodes[..., 0] != self._at_nodes[..., 1]).any(axis=2)
         in_two_ways = np.zeros(nodes.size, dtype=bool)
         in_two_ways[faces.nodes[self._known.rows][differ]] = True
         in_two_ways = over_ranks(nodes, in_two_ways, np.logical_or)
         is_shared = on_several_ranks(nodes, faces.nodes.ravel())
-        # pairs of a cell and a node, those of a node one after the other
-        by_node = np.argsort(faces.nodes, axis=None, kind="stable")
-        node = faces.nodes.ravel()[by_node]
-        for ways in (1, 2):
-            chosen = by_node[~is_shared[node] & (in_two_ways[node] == (ways == 2))]
-            for part in _whole_nodes(faces.nodes.ravel()[chosen]):
-                self._keep(*self._tables(chosen[part], ways), balanced_moments)
+        pairs = np.flatnonzero((in_two_ways & ~is_shared)[faces.nodes])
+        self._keep(*self._tables(pairs), balanced_moments)
         if nodes.comm.size > 1:
 
             def over_the_ranks(
@@ -248,7 +251,27 @@ class _TractionProblems:
             ) -> tuple[Vector, Numbers, Vector]:
                 return moments_over_ranks(nodes, forces, moments)
 
-            self._keep(*self._tables(by_node[is_shared[node]], 2), over_the_ranks)
+            self._keep(*self._tables(np.flatnonzero(is_shared[faces.nodes])), over_the_ranks)
+        self._solve_in_one_way(in_two_ways | is_shared)
+
+    def _solve_in_one_way(self, skipped: Mask) -> None:
+        """Solve the problems of all other nodes, in place."""
+        faces, (f, t) = self._faces, self._faces.closure.shape
+        force = self._residual
+        force[self._known.rows] += self._at_nodes[..., 0]
+        offset = np.full((len(self._facets_at), max(at[0].size for at in self._facets_at)), -1)
+        for local, (facet, node) in enumerate(self._facets_at):
+            offset[local, : facet.size] = facet * t + node
+        imbalance = balance_nodes(
+            skipped,
+            ordered(faces.nodes, self._nodes.size),
+            (faces.nodes.shape[1], f * t, offset),
+            (t, faces.facets, self._kinds.free),
+            force.reshape(-1, faces.dim, 1),
+            self._moments,
+            self._moments,
+        )
+        np.maximum(self.imbalance, imbalance, out=self.imbalance)
 
     def moments(self) -> tuple[Vector, Vector, Indices]:
         """Return the moments, those of the second way, and the row of each cell in these."""
@@ -258,7 +281,6 @@ class _TractionProblems:
             place[k] = 0
         rows = np.flatnonzero(place == 0)
         place[rows] = np.arange(rows.size)
-        self._moments[~self._kinds.free.any(axis=2)] = 0.0
         second = self._moments[rows]
         for k, f, t, values in self._second:
             second[place[k], f, t] = values
@@ -268,15 +290,18 @@ class _TractionProblems:
         return self._moments, second, place
 
     def _tables(
-        self, pairs: Numbers, ways: int
+        self, pairs: Numbers
     ) -> tuple[CellForces, FacetMoments, tuple[Numbers, Numbers, Numbers]]:
-        """Return forces and moments of pairs of a cell and a node, and the cells, facets, nodes."""
+        """Return forces and moments of pairs of a cell and a node, in two ways of sharing.
+
+        Their cells, facets and nodes follow.
+        """
         faces, nodes = self._faces, self._nodes
         k, a = np.divmod(pairs, faces.nodes.shape[1])
-        force = np.repeat(self._residual[k, a][..., None], ways, axis=-1)
+        force = np.repeat(self._residual[k, a][..., None], 2, axis=-1)
         row = self._row_of[k]
         has_known = row >= 0
-        force[has_known] += self._at_nodes[row[has_known], a[has_known], :, :ways]
+        force[has_known] += self._at_nodes[row[has_known], a[has_known]]
         node = nodes.to_global(faces.nodes[k, a])
         forces = CellForces(node, self._cell[k], force)
         of_pair, at = list[Numbers](), list[tuple[Numbers, Numbers]]()
@@ -286,8 +311,6 @@ class _TractionProblems:
             at.append((np.tile(f, here.size), np.tile(t, here.size)))
         pair = np.concatenate(of_pair)
         f, t = (np.concatenate(column) for column in zip(*at, strict=True))
-        is_free = self._kinds.free[k[pair], f].any(axis=1)
-        pair, f, t = pair[is_free], f[is_free], t[is_free]
         facet = global_numbers(self._facet_map, faces.facets[k[pair], f])
         free, moment = self._kinds.free[k[pair], f], self._moments[k[pair], f, t]
         moments = FacetMoments(node[pair], self._cell[k[pair]], facet, free, moment)
@@ -304,17 +327,7 @@ class _TractionProblems:
         solved, node, missing = balanced(forces, moments)
         self._moments[at] = solved[..., 0]
         np.maximum.at(self.imbalance, self._nodes.to_local(node), missing)
-        if solved.shape[-1] == 2:
-            self._second.append((*at, solved[..., 1]))
-
-
-def _whole_nodes(node: Numbers) -> Iterator[slice]:
-    """Yield slices of ascending nodes, with all that are of a node."""
-    first = 0
-    while first < node.size:
-        last = np.searchsorted(node, node[min(first + _PAIRS, node.size) - 1], "right")
-        yield slice(first, int(last))
-        first = int(last)
+        self._second.append((*at, solved[..., 1]))
 
 
 def _check_balance(nodes: NodeMap, imbalance: Vector, largest: float) -> None:

@@ -18,7 +18,7 @@ from fenics_tfeti.fem.topology import exterior_cell_facets
 
 
 def prepared(row, form):
-    return prepare_form(row.V, form, "form", exterior_cell_facets(row.mesh))
+    return prepare_form(row.mesh, form, "form", exterior_cell_facets(row.mesh))
 
 
 def stiffness(row, factor=1.0):
@@ -58,7 +58,7 @@ def test_forms_that_differ_in_a_number_are_compiled_once(term, compiled_once):
     of_cells = y.reshape(-1, 2)[_compat.cell_dofs(row.V)].reshape(-1, 8)
     forms = [term(u, v, w, k) * ufl.dx for k in (1.5, 2.5)]
     one, other = (prepared(row, form) for form in forms)
-    K = other.element_tensors(row.V, np.arange(len(of_cells)))
+    K = other.element_tensors(row.mesh, 8, np.arange(len(of_cells)))
     A = petsc.assemble_matrix(fem.form(forms[1]))
     A.assemble()
     product = A * PETSc.Vec().createWithArray(y, comm=row.mesh.comm)
@@ -86,8 +86,8 @@ def test_terms_with_other_quadrature_rules_add_up(kind):
         # that of the load vanishes, and has a third rule
         terms = [ufl.derivative(term, w, u) for term in (*terms, v[0] * row.dx)]
     cells = np.arange(row.mesh.topology.index_map(2).size_local)
-    apart = sum(prepared(row, term).element_tensors(row.V, cells) for term in terms)
-    together = prepared(row, sum(terms[1:], terms[0])).element_tensors(row.V, cells)
+    apart = sum(prepared(row, term).element_tensors(row.mesh, 8, cells) for term in terms)
+    together = prepared(row, sum(terms[1:], terms[0])).element_tensors(row.mesh, 8, cells)
     np.testing.assert_allclose(together, apart, rtol=0, atol=1e-13 * np.abs(apart).max())
 
 
