@@ -22,7 +22,8 @@ from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
-from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
+from fenics_tfeti.fem.mesh_error.estimate import MeshError, estimate_mesh_error
+from fenics_tfeti.fem.mesh_error.problem import MeshErrorProblem
 from fenics_tfeti.fem.other_mesh import interpolated
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.feti import interruption

@@ -26,7 +26,8 @@ from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geomet
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellStrains, large_gradients
-from fenics_tfeti.fem.mesh_error.estimate import MeshError, MeshErrorProblem, estimate_mesh_error
+from fenics_tfeti.fem.mesh_error.estimate import MeshError, estimate_mesh_error
+from fenics_tfeti.fem.mesh_error.problem import MeshErrorProblem
 from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.findings import large_rotations
@@ -250,12 +251,19 @@ class ContactProblem(SteppedProblem[ContactReport]):
         self._view()
         return uh
 
-    def mesh_error(self) -> MeshError:
+    def mesh_error(self, bound: bool = False) -> MeshError:
         """Estimate the error of the mesh of the last solve, in the energy norm. Collective.
 
         It is the distance to the solution on an infinitely fine mesh, without the error of facets
         against the true surfaces. Estimates are usually between 0.8 and 1.6 times the error, less
         for curved surfaces in contact with degree 2. The report of the solve has them afterwards.
+
+        Parameters
+        ----------
+        bound : bool
+            Whether to look for a bound in place of the estimate, for triangles and tetrahedra of
+            degree 1. It is one where `MeshError.guaranteed`; else `MeshError.reasons` tell what is
+            against it.
 
         Raises
         ------
@@ -280,7 +288,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
                 self._solution.torn_displacements,
                 self.gaps is not None,
             )
-            estimate = estimate_mesh_error(cells, self.report.certificate.error)
+            estimate = estimate_mesh_error(cells, self.report.certificate.error, bound)
         self._report = replace(self.report, mesh_error=estimate.entry)
         return estimate
 

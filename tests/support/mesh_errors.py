@@ -22,7 +22,7 @@ from dolfinx import fem
 from fenics_tfeti import ContactProblem, Coulomb, Plane, Sphere
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.forms import prepare_form
-from fenics_tfeti.fem.mesh_error.estimate import MeshErrorProblem
+from fenics_tfeti.fem.mesh_error.problem import MeshErrorProblem
 from fenics_tfeti.fem.topology import exterior_cell_facets
 from fenics_tfeti.io import Box, TaggedMesh, boxes, tag_facets
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,14 @@ class PreparedForm:
             return np.ones(cells.size, dtype=bool)
         chosen = [self.ids[kind].index(tag) for tag in tags]
         return np.isin(self.numbers[kind][cells], chosen)
+
+    def restricted(self, kind: str, facet: int | None = None) -> PreparedForm:
+        """Return the part of the form over cells, or over facets with one local number."""
+        numbers = {other: np.full_like(values, _NOWHERE) for other, values in self.numbers.items()}
+        if kind in numbers:
+            on = slice(None) if facet is None else (slice(None), facet)
+            numbers[kind][on] = self.numbers[kind][on]
+        return replace(self, numbers=numbers)
 
     def _entities(self, kind: str, tag: int, cells: Indices) -> tuple[Indices, ...]:
         """Return the rows of the cells that an integral is over, or those of facets and these."""

@@ -66,7 +66,7 @@ def gap_energies(
         weighted = faces.weighted_normals(k)[np.arange(k.size), f]
         size = np.linalg.norm(weighted, axis=2)
         if isinstance(found.contact, RigidObstacle):
-            gap = _gaps_to_obstacle(
+            gap, _ = distances_to_obstacle(
                 faces, found, solved, (k, f), weighted / size[..., None], is_exact
             )
         else:
@@ -75,7 +75,8 @@ def gap_energies(
             size = size * np.einsum(
                 "kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f]
             )
-        values = 2.0 * np.sum(p * np.maximum(gap, 0.0) * size, axis=1)
+        gap = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
+        values = 2.0 * np.sum(p * gap * size, axis=1)
         np.add.at(total[:, 0], k, values)
         np.add.at(total[:, 1], k, np.where((corners[k, f] > 0.0).all(axis=1), values, 0.0))
     return total
@@ -99,15 +100,18 @@ def _linear(faces: CellFaces) -> Vector:
     )
 
 
-def _gaps_to_obstacle(
+def distances_to_obstacle(
     faces: CellFaces,
     found: FoundContact,
     solved: SolvedContacts,
     facets: tuple[Numbers, Numbers],
     normal: Vector,
     is_exact: bool,
-) -> Vector:
-    """Return the distances (k, q) of points on facets to an obstacle [m]. Collective."""
+) -> tuple[Vector, Vector]:
+    """Return the distances (k, q) of points on facets to an obstacle [m], and its normals.
+
+    Where there is none, they are infinite. Collective.
+    """
     (k, f), d = facets, faces.dim
     shape = k.size, normal.shape[1], d
     x, u = np.zeros(shape), np.zeros(shape)
@@ -129,7 +133,7 @@ def _gaps_to_obstacle(
             on_body = places - outward * np.where(np.isfinite(gap), gap, 0.0)[:, None]
             moved = moved - frame.displacements(frame.motion, on_body)
         gap = gap + np.sum(outward * moved, axis=1)
-    return np.where(np.isfinite(gap), gap, 0.0).reshape(shape[:2])
+    return gap.reshape(shape[:2]), outward.reshape(shape)
 
 
 def _gaps_between_nodes(

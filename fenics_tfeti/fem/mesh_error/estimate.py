@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TypeVar
 
 from mpi4py import MPI
@@ -20,39 +19,18 @@ from dolfinx.fem import Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, check_value
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
-from fenics_tfeti.fem.decomposition.round_parts import cut_into_slabs
 from fenics_tfeti.fem.decomposition.bodies import Bodies
-from fenics_tfeti.fem.displacement import prescribed_components
-from fenics_tfeti.fem.geometry.batches import batches
-from fenics_tfeti.fem.mesh_error.cell_loops import ordered, subtract_internal
-from fenics_tfeti.fem.mesh_error.contact import at_local_nodes, facets_of, gap_energies
+from fenics_tfeti.fem.mesh_error.bound import strict_bound
+from fenics_tfeti.fem.mesh_error.contact import at_local_nodes
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
-from fenics_tfeti.fem.mesh_error.neumann import NeumannProblems
-from fenics_tfeti.fem.mesh_error.rings import improved_energies
-from fenics_tfeti.fem.mesh_error.stress import CellStress
-from fenics_tfeti.fem.mesh_error.tractions import (
-    FacetKinds,
-    Tractions,
-    equilibrated_tractions,
-    over_ranks,
-    own_moments,
-)
+from fenics_tfeti.fem.mesh_error.problem import MeshErrorProblem
+from fenics_tfeti.fem.mesh_error.tractions import over_ranks
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import exterior_facets, owned_cells, vertex_nodes
-from fenics_tfeti.fem.torn_problem import TornProblem
+from fenics_tfeti.fem.topology import owned_cells, vertex_nodes
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Numbers, Vector
+from fenics_tfeti.typing import Indices, Vector
 
-# steps of conjugate gradients: more of them make the estimate smaller by a hundredth
-_STEPS = 5
-# bytes of the matrices of the cells that are kept at once
-_BYTES = 2**25
-# cells whose forces are computed at once
-_CELLS = 2**12
-# forces of a cell, relative to those of its stiffness and displacements one by one, that are none
-_ROUNDING = 1e-12
 # a cell's new size relative to the old one
 _SMALLER, _LARGER = 0.25, 2.0
 
@@ -110,6 +88,8 @@ class MeshErrorEntry:
         iterations have left.
     guaranteed : bool
         Whether it is a bound.
+    reasons : sequence of str
+        Why it is none, where one was asked for.
     linearised : bool
         Whether it is that of the problem linearised at a displacement with finite strains.
     bodies : dict of str to BodyMeshError
@@ -121,6 +101,7 @@ class MeshErrorEntry:
     error: float
     total: float
     guaranteed: bool
+    reasons: Sequence[str]
     linearised: bool
     bodies: Mapping[str, BodyMeshError]
     contacts: Mapping[str, ContactMeshError]
@@ -128,7 +109,8 @@ class MeshErrorEntry:
     def __str__(self) -> str:
         """Return the errors as a line to read."""
         of = " of the linearised problem" if self.linearised else ""
-        text = f"about {_percent(self.error)} % in the energy norm{of}"
+        how = "at most" if self.guaranteed else "about"
+        text = f"{how} {_percent(self.error)} % in the energy norm{of}"
         if len(self.bodies) > 1:
             largest = sorted(self.bodies.items(), key=lambda item: -item[1].share)[:4]
             text += f" ({', '.join(f'{name} {_percent(e.error)}' for name, e in largest)})"
@@ -140,6 +122,8 @@ class MeshErrorEntry:
         if pressed:
             name, error = max(pressed.items(), key=lambda item: item[1] or 0.0)
             text += f"; {_percent(error or 0.0)} % at the largest pressure of {name!r}"
+        if self.reasons:
+            text += f"; no bound: {', '.join(self.reasons)}"
         return text
 
 
@@ -162,6 +146,8 @@ class MeshError:
         The same with the error that the iterations have left, by the certificate of the report.
     guaranteed : bool
         Whether it is a bound; False: it is an estimate.
+    reasons : sequence of str
+        Why it is none, where one was asked for.
     linearised : bool
         Whether it is that of the problem linearised at the displacement, which has finite strains;
         the energy norm is that of its tangent.
@@ -187,6 +173,7 @@ class MeshError:
     error: float
     total: float
     guaranteed: bool
+    reasons: Sequence[str]
     linearised: bool
     bodies: ByName[BodyMeshError]
     contacts: ByName[ContactMeshError]
@@ -201,6 +188,7 @@ class MeshError:
             self.error,
             self.total,
             self.guaranteed,
+            self.reasons,
             self.linearised,
             dict(self.bodies),
             dict(self.contacts),
@@ -322,152 +310,35 @@ _EQUILATERAL = {
 }
 
 
-class MeshErrorProblem:
-    """The problems of all cells of a solution, with tractions in equilibrium. Collective.
-
-    `displacements` are those of the subdomains, torn: their forces balance the multipliers. With
-    finite strains the forms are those at the total displacement, `linearised_at`, where only the
-    load is not zero.
-    """
-
-    def __init__(
-        self,
-        torn: TornProblem,
-        solved: SolvedContacts,
-        displacements: Sequence[Vector],
-        is_exact: bool,
-        linearised_at: Function | None = None,
-    ) -> None:
-        self.torn, self.nodes, self.solved, self._is_exact = torn, torn.nodes, solved, is_exact
-        self.is_linearised = linearised_at is not None
-        cells, self._displacements, self._of_cells = torn.torn.at_cells(displacements)
-        moves = None
-        if linearised_at is not None:
-            nodal = linearised_at.x.array.reshape(-1, torn.space.mesh.geometry.dim)
-            moves = nodal[_compat.cell_dofs(torn.space)[cells]]
-        self._moves = moves
-        self.faces = CellFaces(torn.space, cells, moves)
-        forms = torn.torn.forms
-        self.neumann = NeumannProblems(
-            self.faces,
-            forms.bilinear.form,
-            forms.linear.form,
-            torn.compiler,
-            self.is_linearised,
-        )
-        self._groups = self._in_groups()
-        self.kinds = self._kinds()
-        self.tractions = self._tractions()
-
-    def u(self, rows: Numbers | slice) -> Vector:
-        """Return the displacements (g, n, d) of some cells, zero at finite strains [m]."""
-        u = self._displacements[self._of_cells[rows]]
-        return np.zeros_like(u) if self.is_linearised else u
-
-    def _total(self, rows: Numbers | slice, u: Vector) -> Vector:
-        """Return the total displacements, at finite strains other ones."""
-        return u if self._moves is None else self._moves[rows]
-
-    def _kinds(self) -> FacetKinds:
-        """Find what acts on facets. Collective."""
-        faces, contact_set = self.faces, self.solved.contact_set
-        self.surfaces = {
-            entry.number: facets_of(faces, self.nodes, entry) for entry in contact_set.entries
-        }
-        exterior = exterior_facets(faces.space.mesh)[faces.facets]
-        contact = np.zeros_like(exterior)
-        for mask in self.surfaces.values():
-            contact |= mask & exterior
-        fixed = prescribed_components(self.nodes, contact_set.prescribed)
-        fixed = over_ranks(self.nodes, fixed, np.logical_or)
-        return FacetKinds.of(faces, self.nodes, contact, exterior, fixed)
-
-    def _tractions(self) -> Tractions:
-        """Find tractions in equilibrium. Collective."""
-        own = own_moments(self.faces, self._stress())
-        residual, rounding = self._forces()
-        return equilibrated_tractions(self.faces, self.nodes, self.kinds, own, residual, rounding)
-
-    def _stress(self) -> CellStress:
-        """Return the stress of the torn displacements. Collective."""
-        faces, forms = self.faces, self.torn.torn.forms
-        W = _compat.lagrange_space(faces.space.mesh, faces.degree, faces.dim, discontinuous=True)
-        w = Function(W)
-        values, dofs = w.x.array.reshape(-1, faces.dim), _compat.cell_dofs(W)
-        for batch in batches(faces.size, _CELLS):
-            values[dofs[faces.cells[batch]]] = self.u(batch)
-        points = faces.stress_rule.points.reshape(-1, faces.dim)
-        return CellStress(forms.bilinear, forms.linear, w, points)
-
-    def _forces(self) -> tuple[Vector, float]:
-        """Return the forces L - a(u, .) (k, n, d) of each cell, and what rounding may make [N]."""
-        faces, forms = self.faces, self.torn.torn.forms
-        residual, rounding = np.zeros((*faces.nodes.shape, faces.dim)), 0.0
-        for batch in batches(faces.size, _CELLS):
-            cells, u = faces.cells[batch], self.u(batch)
-            A, load = forms.cell_matrices(cells), forms.cell_loads(cells)
-            number = np.arange(len(u), dtype=np.int32)
-            subtract_internal(number, A, u.reshape(len(u), -1), load[:, :, None])
-            residual[batch] = load.reshape(u.shape)
-            total = np.abs(self._total(batch, u)).reshape(len(u), -1)
-            sizes = np.zeros_like(load)
-            subtract_internal(number, np.abs(A), total, sizes[:, :, None])
-            rounding = max(rounding, -_ROUNDING * float(sizes.min(initial=0.0)))
-        return residual, rounding
-
-    def energies(self, steps: int = _STEPS) -> tuple[Vector, Vector]:
-        """Return the squares (k, 2) of the errors after some steps, and energies (k,) [J].
-
-        The squares are those with contact forces shared in two ways.
-        """
-        errors, energies = np.zeros((self.faces.size, 2)), np.zeros(self.faces.size)
-        order, first = self._groups
-        for begin, end in pairwise(first):
-            rows = order[begin:end].astype(np.int64)
-            u = self.u(rows)
-            moments = self.tractions.of(rows)
-            of_group = self.neumann.energies(rows, u, self._total(rows, u), moments)
-            energies[rows] = of_group.solution
-            errors[rows] = improved_energies(self.neumann, rows, self.kinds, of_group, steps)
-        return errors, energies
-
-    def gap_energies(self) -> Vector:
-        """Return the energies (k, 2) of contact pressures over gaps [J]. Collective."""
-        return gap_energies(self.faces, self.nodes, self.solved, self._is_exact)
-
-    def _in_groups(self) -> tuple[Indices, Indices]:
-        """Return the rows of cells, group by group of neighbours, and the first of each group.
-
-        The matrices of a group are kept at once.
-        """
-        faces = self.faces
-        count = -(-faces.size * self.neumann.bytes // _BYTES)
-        if count <= 1:
-            return np.arange(faces.size, dtype=np.int32), np.array([0, faces.size], dtype=np.int32)
-        graph = self.torn.bodies.graph[faces.cells][:, faces.cells]
-        label = cut_into_slabs(graph, faces.node_points(1).mean(axis=1), count)
-        return ordered(label, int(label.max()) + 1)
-
-
-def estimate_mesh_error(problem: MeshErrorProblem, iterations: float) -> MeshError:
-    """Estimate the error of the mesh, beside that of the iterations. Collective."""
+def estimate_mesh_error(
+    problem: MeshErrorProblem, iterations: float, bound: bool = False
+) -> MeshError:
+    """Estimate, or bound, the error of the mesh, beside that of the iterations. Collective."""
     comm, faces = problem.nodes.comm, problem.faces
-    squares, energies = problem.energies()
-    squares = np.maximum(squares, 0.0) + problem.gap_energies()
-    # the better of two ways to share contact forces
-    totals = comm.allreduce(squares.sum(axis=0))
-    squares = squares[:, int(totals.argmin())]
+    strict = strict_bound(problem) if bound else None
+    if strict is not None and not strict.reasons:
+        squares, energies, correction = strict.squares, strict.energies, strict.correction
+        total = comm.allreduce(squares.sum())
+    else:
+        of_ways, energies = problem.energies()
+        of_ways = np.maximum(of_ways, 0.0) + problem.gap_energies()
+        # the better of two ways to share contact forces
+        totals = comm.allreduce(of_ways.sum(axis=0))
+        squares, total, correction = of_ways[:, int(totals.argmin())], totals.min(), 0.0
     energy = comm.allreduce(energies.sum())
     cells = Function(_compat.lagrange_space(faces.space.mesh, 0, discontinuous=True))
     dofs = _compat.cell_dofs(cells.function_space)[faces.cells, 0]
     cells.x.array[dofs] = np.sqrt(squares)
     cells.x.scatter_forward()
     cells.name = "mesh_error"
-    error = _ratio(totals.min(), energy)
+    error = _ratio((np.sqrt(total) + correction) ** 2, energy)
+    guaranteed = strict is not None and not strict.reasons
     return MeshError(
         error,
-        error + iterations,
-        False,
+        # the bound has the error of the iterations
+        error if guaranteed else error + iterations,
+        guaranteed,
+        strict.reasons if strict is not None else (),
         problem.is_linearised,
         _body_errors(comm, problem.torn.bodies, faces.cells, squares, energies),
         _contact_errors(problem, squares, energies),

@@ -184,6 +184,15 @@ class NeumannProblems:
         faces = self.faces
         return form.element_tensors(faces.space.mesh, self.lift.shape[0], faces.cells[rows])
 
+    def part_of_load(self, rows: Numbers, kind: str, facet: int | None = None) -> Vector:
+        """Return the part of L (g, w) over some cells, or over facets with a local number [N]."""
+        return self._tensors(self.linear.restricted(kind, facet), rows)
+
+    def restricted(self, load: Vector) -> Vector:
+        """Return loads (g, w) in terms of the solution's own functions (g, n * d) [N]."""
+        nodal = self._interpolation.T @ load.reshape(len(load), -1, self.faces.dim)
+        return np.asarray(nodal.reshape(len(load), -1))
+
     def loads(self, rows: Numbers, u: Vector, moments: Vector) -> Vector:
         """Return the loads (k, w, v) of the problems of some cells [N]."""
         return (

@@ -10,7 +10,7 @@ a resultant on its cells that moves these.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,6 +67,15 @@ class FacetMap:
         places = (local[..., None] * t + order)[..., None] * d + np.arange(d)
         return places.reshape(*order.shape[:-1], self.moments)
 
+    def to_cells(self, values: Vector) -> Vector:
+        """Return values (facets, m, v) from the sides of the cells (g, s, v)."""
+        g, f = self.facets.shape
+        cells, local = np.arange(g)[:, None], np.broadcast_to(np.arange(f), (g, f))
+        out = np.empty((g, f * self.moments, values.shape[2]))
+        signs = self.sign(cells, local)[..., None, None]
+        out[cells[..., None], self.places(cells, local)] = signs * values[self.facets]
+        return out
+
     def sign(self, cells: Numbers, local: Numbers) -> Vector:
         """Return the signs (...) of the sides of some cells."""
         f = self.facets.shape[1]
@@ -76,16 +85,18 @@ class FacetMap:
 
 def improved_energies(
     neumann: NeumannProblems, rows: Numbers, kinds: FacetKinds, energies: CellEnergies, steps: int
-) -> Vector:
+) -> tuple[Vector, Callable[[], Vector]]:
     """Return the energies (g, v) of some cells after steps of conjugate gradients.
 
-    The energies and gradients given change.
+    The energies and gradients given change. The function that is returned, too, computes the
+    changes (g, s, v) of the moments.
     """
     facets = FacetMap(neumann, rows, kinds, energies)
     loops = facets.loops
     preconditioner = _Preconditioner(facets, *_rings(neumann.faces, rows))
     v = energies.constant.shape[1]
     p, old = np.zeros((len(facets.free), facets.moments, v)), np.ones(v)
+    change = np.zeros_like(p)
     for _ in range(steps):
         r = -loops.to_facets(energies.gradient)
         z = preconditioner(r)
@@ -96,7 +107,8 @@ def improved_energies(
         curvature = _dots(p, loops.to_facets(Qp))
         alpha = np.where(curvature > 0.0, rho / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         loops.advance(alpha, p, Qp, energies.gradient, energies.constant)
-    return energies.constant
+        change += alpha * p
+    return energies.constant, lambda: facets.to_cells(change)
 
 
 def _dots(x: Vector, y: Vector) -> Vector:
@@ -205,7 +217,9 @@ def _without_resultants(facets: FacetMap, own: Numbers, cells: Numbers, local: N
     values = np.pad(values, ((0, 0), (0, j * m - values.shape[1])))
     largest = np.maximum(values.max(axis=1, keepdims=True), np.finfo(float).tiny)
     Z = np.where((values < _SINGULAR * largest)[..., None], rows, 0.0).transpose(0, 2, 1)
+    # of those that may not change at all, rounding is left
     Z = Z * may.reshape(r, -1, 1)
+    Z = np.where(np.abs(Z).max(axis=1, keepdims=True) > _SINGULAR, Z, 0.0)
     return np.asarray(Z[..., np.abs(Z).max(axis=(0, 1)) > 0.0])
 
 

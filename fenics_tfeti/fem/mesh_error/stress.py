@@ -58,6 +58,12 @@ def _column(mask: Mask) -> Mask:
     return mask[:, None, None, None]
 
 
+def has_stress(form: ufl.Form) -> bool:
+    """Tell whether a linear form has gradients of its test function."""
+    (v,) = form.arguments()
+    return any(_has_gradient(integral.integrand(), v) for integral in form.integrals())
+
+
 def _stresses(form: ufl.Form, v: Argument) -> list[tuple[Any, Any]]:
     """Return the integrals over cells that have gradients of v, with the stress in each."""
     dim, x = len(v), ufl.SpatialCoordinate(form.ufl_domain())
