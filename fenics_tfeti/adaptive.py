@@ -122,7 +122,7 @@ def adapt(
         check_positive(error, "adapt: error")
         is_count = is_integer(max_unknowns) and max_unknowns > 0
         check_value(is_count, "adapt: max_unknowns", max_unknowns, "a positive integer")
-    levels, coarse = list[MeshLevel](), None
+    levels, coarse, aim = list[MeshLevel](), None, _AIM * error
     while True:
         problem = make_problem(mesh)
         if not isinstance(problem, ContactProblem):
@@ -145,7 +145,10 @@ def adapt(
             mesh = refine(mesh, estimate.mark(_share(estimate, error)))
         else:
             _check_progress(levels, problem)
-            mesh = remesh(estimate.sizes(_AIM * error))
+            if len(levels) > 1:
+                # at edges and where contact ends the error falls more slowly than sizes expect
+                aim *= error / level.error
+            mesh = remesh(estimate.sizes(aim))
         coarse = problem if problem.options.solver.method == "active_set" else None
 
 

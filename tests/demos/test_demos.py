@@ -199,11 +199,15 @@ def test_adaptive_roller(demo):
 
 
 @pytest.mark.once
+@pytest.mark.heavy
 def test_remeshed_joint(demo):
-    """The largest pressure is that of a mesh with ten times as many unknowns, 3.67e-3."""
-    assert demo["estimate"].error <= 0.01
-    assert len(demo["levels"]) <= 4
-    assert demo["joint"].pressure.max() == pytest.approx(3.67e-3, rel=0.02)
+    """3 % in at most four rounds; the bearing pressure is that of the finer mesh."""
+    assert demo["estimate"].error <= 0.03
+    assert len(demo["levels"]) <= 5
+    assert demo["error"] < demo["estimate"].error
+    assert demo["bearing"] == pytest.approx(demo["of_finer"][3], rel=0.02)
+    pin = demo["problem"].results["pin in lug"]
+    assert abs(pin.force[0]) == pytest.approx(demo["force"] / 4, rel=1e-3)
 
 
 @pytest.mark.once
