@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from fenics_tfeti.errors import first_few
 from fenics_tfeti.fem.contact.conditions.obstacle import gap_and_normal
 from fenics_tfeti.fem.contact.contact_set import FoundContact, FoundTie
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, RigidObstacle
@@ -11,11 +12,20 @@ from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
 from fenics_tfeti.fem.contact.solution.results import ContactResult
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.geometry.reference_cells import shape_values
-from fenics_tfeti.fem.mesh_error.faces import CellFaces
+from fenics_tfeti.fem.mesh_error.faces import CellFaces, FacetRule
 from fenics_tfeti.fem.mesh_error.tractions import over_ranks
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import dense_tags
+from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
+
+# deviation of an obstacle's gap from a quadratic function, relative to the size of a facet, that is
+# a jump
+_JUMP = 0.05
+# angle by which normals turn inside facets of curved surfaces [rad]
+_TURN = 0.01
+# contacts that a remark names
+_NAMES = 4
 
 
 def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) -> Mask:
@@ -82,6 +92,90 @@ def gap_energies(
     return total
 
 
+def remarks(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_exact: bool) -> list[str]:
+    """Say at which contacts estimates of degree 2 are too small. Collective.
+
+    Conditions are means over facets there: they do not see where a gap jumps inside a facet, or how
+    surfaces curve between nodes.
+    """
+    if faces.degree == 1:
+        return []
+    jumps, curved = list[str](), list[str]()
+    for found, result in zip(solved.contact_set.contacts, solved.contacts, strict=True):
+        assert isinstance(found.contact, ContactPair | RigidObstacle)
+        on_slave = tagged(faces, found.contact.facet_tags, surface_tags(found.contact)[:1])
+        pressure = at_local_nodes(nodes, result.dofs, result.pressure)
+        facets = _around(faces, nodes, on_slave, pressure > 0.0)
+        is_obstacle = isinstance(found.contact, RigidObstacle)
+        marks = (
+            _jumps(faces, found, solved, facets, is_exact)
+            if is_obstacle
+            else _is_curved(faces, facets)
+        )
+        if any_rank(nodes.comm, marks):
+            (jumps if is_obstacle else curved).append(repr(found.conditions.name))
+    told = []
+    if jumps:
+        told.append(f"too small at {_listed(jumps)}, where the gap jumps: take degree 1")
+    if curved:
+        told.append(f"half of the error or more at the curved surfaces of {_listed(curved)}")
+    return told
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(first_few(list(dict.fromkeys(names)), _NAMES, "contacts"))
+
+
+def _around(
+    faces: CellFaces, nodes: NodeMap, on_slave: Mask, pressed: Mask
+) -> tuple[Numbers, Numbers]:
+    """Return the facets at nodes that are pressed, and their neighbours. Collective."""
+    near = pressed
+    for _ in range(2):
+        mask = on_slave & near[faces.facet_corners()].any(axis=2)
+        near = np.zeros(nodes.size, dtype=bool)
+        near[faces.facet_nodes()[mask].ravel()] = True
+        near = over_ranks(nodes, near, np.logical_or)
+    k, f = np.nonzero(mask)
+    return k, f
+
+
+def _jumps(
+    faces: CellFaces,
+    found: FoundContact,
+    solved: SolvedContacts,
+    facets: tuple[Numbers, Numbers],
+    is_exact: bool,
+) -> Mask:
+    """Tell at which facets (k,) an obstacle's gap is far from its quadratic fit. Collective."""
+    k, f = facets
+    gaps = []
+    for rule in (faces.rule, faces.node_rule):
+        weighted = faces.weighted_normals(k, rule)[np.arange(k.size), f]
+        size = np.linalg.norm(weighted, axis=2, keepdims=True)
+        gap, _ = distances_to_obstacle(
+            faces, found, solved, facets, weighted / size, is_exact, rule
+        )
+        gaps.append(gap)
+    length = size.mean(axis=(1, 2)) ** (1.0 / (faces.dim - 1))
+    finite = np.isfinite(np.hstack(gaps))
+    inside, at_nodes = (np.where(np.isfinite(gap), gap, length[:, None]) for gap in gaps)
+    # the points of all facets are at the same places of the reference facet
+    traces = faces.rule.traces[0]
+    nodal = inside @ np.linalg.pinv(traces).T
+    far = np.abs(np.hstack([inside - nodal @ traces.T, at_nodes - nodal])).max(axis=1, initial=0.0)
+    return np.asarray((far > _JUMP * length) & finite.any(axis=1))
+
+
+def _is_curved(faces: CellFaces, facets: tuple[Numbers, Numbers]) -> Mask:
+    """Tell whose normals turn inside facets."""
+    k, f = facets
+    weighted = faces.weighted_normals(k)[np.arange(k.size), f]
+    normals = weighted / np.linalg.norm(weighted, axis=2, keepdims=True)
+    turned = np.linalg.norm(normals - normals[:, :1], axis=2)
+    return np.asarray(turned.max(axis=1, initial=0.0) > _TURN)
+
+
 def at_local_nodes(nodes: NodeMap, dofs: Numbers, values: Vector) -> Vector:
     """Return values of owned nodes at all local nodes, zero where there are none. Collective."""
     local = np.zeros(nodes.size)
@@ -107,19 +201,20 @@ def distances_to_obstacle(
     facets: tuple[Numbers, Numbers],
     normal: Vector,
     is_exact: bool,
+    rule: FacetRule | None = None,
 ) -> tuple[Vector, Vector]:
     """Return the distances (k, q) of points on facets to an obstacle [m], and its normals.
 
     Where there is none, they are infinite. Collective.
     """
-    (k, f), d = facets, faces.dim
+    (k, f), d, rule = facets, faces.dim, rule or faces.rule
     shape = k.size, normal.shape[1], d
     x, u = np.zeros(shape), np.zeros(shape)
     nodal = solved.displacement.x.array.reshape(-1, d)[faces.facet_nodes(k)[np.arange(k.size), f]]
-    for number, points in enumerate(faces.rule.points):
+    for number, points in enumerate(rule.points):
         on = f == number
         x[on] = faces.points(points, k[on])
-        u[on] = faces.rule.traces[number] @ nodal[on]
+        u[on] = rule.traces[number] @ nodal[on]
     bodies, surface = solved.bodies, found.conditions.surface
     contact = found.contact_at(bodies) if is_exact else found.contact
     assert isinstance(contact, RigidObstacle)

@@ -90,6 +90,9 @@ class MeshErrorEntry:
         Whether it is a bound.
     reasons : sequence of str
         Why it is none, where one was asked for.
+    remarks : sequence of str
+        Where it is too small, with degree 2: by a factor of up to two at curved surfaces in
+        contact, and of up to five where the gap to an obstacle jumps.
     linearised : bool
         Whether it is that of the problem linearised at a displacement with finite strains.
     bodies : dict of str to BodyMeshError
@@ -102,6 +105,7 @@ class MeshErrorEntry:
     total: float
     guaranteed: bool
     reasons: Sequence[str]
+    remarks: Sequence[str]
     linearised: bool
     bodies: Mapping[str, BodyMeshError]
     contacts: Mapping[str, ContactMeshError]
@@ -122,6 +126,7 @@ class MeshErrorEntry:
         if pressed:
             name, error = max(pressed.items(), key=lambda item: item[1] or 0.0)
             text += f"; {_percent(error or 0.0)} % at the largest pressure of {name!r}"
+        text += "".join(f"; {remark}" for remark in self.remarks)
         if self.reasons:
             text += f"; no bound: {', '.join(self.reasons)}"
         return text
@@ -148,6 +153,9 @@ class MeshError:
         Whether it is a bound; False: it is an estimate.
     reasons : sequence of str
         Why it is none, where one was asked for.
+    remarks : sequence of str
+        Where it is too small, with degree 2: by a factor of up to two at curved surfaces in
+        contact, and of up to five where the gap to an obstacle jumps.
     linearised : bool
         Whether it is that of the problem linearised at the displacement, which has finite strains;
         the energy norm is that of its tangent.
@@ -174,6 +182,7 @@ class MeshError:
     total: float
     guaranteed: bool
     reasons: Sequence[str]
+    remarks: Sequence[str]
     linearised: bool
     bodies: ByName[BodyMeshError]
     contacts: ByName[ContactMeshError]
@@ -189,6 +198,7 @@ class MeshError:
             self.total,
             self.guaranteed,
             self.reasons,
+            self.remarks,
             self.linearised,
             dict(self.bodies),
             dict(self.contacts),
@@ -339,6 +349,7 @@ def estimate_mesh_error(
         error if guaranteed else error + iterations,
         guaranteed,
         strict.reasons if strict is not None else (),
+        problem.remarks(),
         problem.is_linearised,
         _body_errors(comm, problem.torn.bodies, faces.cells, squares, energies),
         _contact_errors(problem, squares, energies),

@@ -98,6 +98,14 @@ class CellFaces:
         index_map = self.space.dofmap.index_map
         return int(index_map.size_local + index_map.num_ghosts)
 
+    @cached_property
+    def node_rule(self) -> FacetRule:
+        """The nodes of facets as a rule, with equal weights."""
+        points = lagrange_points(self.kind.name, self.degree)[self.closure]
+        f, t = self.closure.shape
+        traces = np.broadcast_to(np.eye(t), (f, t, t))
+        return FacetRule(points, np.full(t, 1.0 / t), traces, self.rule.normals)
+
     def facet_nodes(self, rows: Numbers | slice = slice(None)) -> Indices:
         """Return the local nodes (k, f, t) of the facets of some of the cells."""
         return self.nodes[rows][:, self.closure]

@@ -15,7 +15,7 @@ from fenics_tfeti.fem.decomposition.round_parts import cut_into_slabs
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.geometry.batches import batches
 from fenics_tfeti.fem.mesh_error.cell_loops import ordered, subtract_internal
-from fenics_tfeti.fem.mesh_error.contact import facets_of, gap_energies
+from fenics_tfeti.fem.mesh_error.contact import facets_of, gap_energies, remarks
 from fenics_tfeti.fem.mesh_error.faces import CellFaces
 from fenics_tfeti.fem.mesh_error.neumann import NeumannProblems
 from fenics_tfeti.fem.mesh_error.rings import improved_energies
@@ -160,6 +160,10 @@ class MeshErrorProblem:
     def gap_energies(self) -> Vector:
         """Return the energies (k, 2) of contact pressures over gaps [J]. Collective."""
         return gap_energies(self.faces, self.nodes, self.solved, self.is_exact)
+
+    def remarks(self) -> tuple[str, ...]:
+        """Say at which contacts the estimate is too small. Collective."""
+        return tuple(remarks(self.faces, self.nodes, self.solved, self.is_exact))
 
     def _in_groups(self) -> tuple[Indices, Indices]:
         """Return the rows of cells, group by group of neighbours, and the first of each group.

@@ -6,6 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from joints import plane_joint
+from mesh_arrays import block, mesh_of
 from mesh_errors import (
     ABOVE,
     BELOW,
@@ -26,7 +28,8 @@ from scenes import CELLS, POISSON, Scene, at, dimension, pressed_block, stress
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Deformed, InputError, Nearest, RigidBody, TiedPair
+from fenics_tfeti import Deformed, InputError, Nearest, Plane, RigidBody, TiedPair
+from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_SELF
 DEGREES = (1, 2)
@@ -111,20 +114,22 @@ def test_free_expansion_has_none():
 
 @pytest.mark.once
 @pytest.mark.parametrize(
-    ("name", "n", "cell"),
+    ("name", "n", "degree", "cell"),
     [
-        ("roller", 8, "triangle"),
-        ("beams", 2, "triangle"),
-        ("beams", 2, "quadrilateral"),
-        ("slider", 4, "triangle"),
-        ("ball", 8, "triangle"),
-        ("beams", 1, "tetrahedron"),
-        ("beams", 1, "hexahedron"),
+        ("roller", 8, 1, "triangle"),
+        ("beams", 2, 1, "triangle"),
+        ("beams", 2, 1, "quadrilateral"),
+        ("slider", 4, 1, "triangle"),
+        ("ball", 8, 1, "triangle"),
+        ("beams", 1, 1, "tetrahedron"),
+        ("beams", 1, 1, "hexahedron"),
+        ("beams", 2, 2, "triangle"),
+        ("beams", 2, 2, "quadrilateral"),
     ],
 )
-def test_bounds_the_distance_to_one_degree_more(name, n, cell):
+def test_bounds_the_distance_to_one_degree_more(name, n, degree, cell):
     """After each step of conjugate gradients, which makes it smaller."""
-    problem = posed(CASES[name](COMM, n, 1, cell))
+    problem = posed(CASES[name](COMM, n, degree, cell))
     problem.solve()
     cells = cells_of(problem)
     exact = distance(cells, 0)
@@ -222,6 +227,25 @@ def test_does_not_depend_on_units(degree):
     others = error_of(beams(COMM, 2, degree, metre=1e3, newton=1e-3))
     assert others.error == pytest.approx(metres.error, rel=1e-9)
     assert others.energy_norm == pytest.approx(np.sqrt(1e-3) * metres.energy_norm, rel=1e-8)
+
+
+@pytest.mark.parametrize("cell", ("triangle", "tetrahedron"))
+def test_does_not_depend_on_the_order_of_cells(cell):
+    """Nor on that of nodes, in the mesh and in each cell."""
+    rng = np.random.default_rng(0)
+    given = points, cells = block(cell, 4)
+    nodes, order = rng.permutation(len(points)), rng.permutation(len(cells))
+    mixed = np.argsort(nodes)[rng.permuted(np.asarray(cells)[order], axis=1)]
+    errors = []
+    for x, of_cells in (given, (np.asarray(points)[nodes], mixed)):
+        domain = mesh_of(COMM, cell, x, of_cells)
+        up = domain.geometry.dim - 1
+        top = float(np.asarray(points)[:, up].max())
+        scene = Scene(domain, tag_facets(domain, {TOP: at(up, top), FOOT: at(up, 0.0)}))
+        scene.fix(TOP, None, np.array([0.0] * up + [-1e-2 * top]))
+        scene.add_obstacle(FOOT, Plane((0.0,) * (up + 1), (0.0,) * up + (1.0,)))
+        errors.append(error_of(scene, cell_tags=None).error)
+    assert errors[1] == pytest.approx(errors[0], rel=1e-9)
 
 
 def test_does_not_depend_on_slave_and_master():
@@ -325,6 +349,24 @@ def test_report_has_it_once_it_was_called():
     assert mend.strip() == "of both errors that of the mesh is larger: refine it"
     assert "about 48 % in the energy norm (cell tag 1 49, cell tag 2 47)" in line
     assert "% at the largest pressure of 'joint'" in line
+
+
+@pytest.mark.parametrize(
+    ("name", "degree", "told"), [("punch", 1, ""), ("punch", 2, "the gap jumps"), ("roller", 2, "")]
+)
+def test_gaps_that_jump_are_told_with_degree_two(name, degree, told):
+    estimate = error_of(CASES[name](COMM, 8, degree))
+    assert len(estimate.remarks) == bool(told)
+    assert all(told in remark for remark in estimate.remarks)
+    assert told in str(estimate)
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+def test_curved_surfaces_are_told_with_degree_two(degree):
+    problem = plane_joint(1.5, degree)
+    problem.solve()
+    remarks = problem.mesh_error().remarks
+    assert [("curved surfaces" in remark) for remark in remarks] == [True] * (degree == 2)
 
 
 # -- errors ------------------------------------------------------------------------------------
