@@ -279,7 +279,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         comm = self.space.mesh.comm
         if self._solved is None or self._solution is None:
             raise InputError("mesh_error() is of a solution; call solve() first")
-        self._check_hard("mesh_error() is")
+        self._check_hard_or_soft("mesh_error() is")
         meet(comm, "mesh_error()")
         with self._timer.phase("mesh error"):
             cells = MeshErrorProblem(
@@ -447,14 +447,14 @@ class ContactProblem(SteppedProblem[ContactReport]):
                     f"{type(law).__name__}. Leave it out, or difference solves"
                 )
 
-    def _check_hard(self, what: str) -> None:
-        """Check that no contact has a law or elastic slip, as not everything is for these."""
+    def _check_hard_or_soft(self, what: str) -> None:
+        """Check that no contact has another law or elastic slip, as not everything is for these."""
         for number, contact in enumerate(self.contacts):
-            friction = getattr(contact, "friction", None)
-            if getattr(contact, "law", None) is not None or is_elastic(friction):
+            friction, law = (getattr(contact, data, None) for data in ("friction", "law"))
+            if not isinstance(law, SoftContact | None) or is_elastic(friction):
                 raise InputError(
-                    f"{contact_name(contact, number)}: {what} of hard contact without elastic slip "
-                    "alone. Leave out law and elastic_slip"
+                    f"{contact_name(contact, number)}: {what} of hard or soft contact without "
+                    "elastic slip alone. Leave out law and elastic_slip"
                 )
 
     # -- the present data --------------------------------------------------------------------------

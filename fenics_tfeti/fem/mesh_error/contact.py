@@ -58,10 +58,10 @@ def gap_energies(
 ) -> Vector:
     """Return the integrals 2 p (gap - u_n)_+ over the slave's facets, by cell (k, 2) [J].
 
-    First over all facets with a pressure, second over those alone all of whose vertices have one.
-    The pressure p, over undeformed areas, is linear between nodes. Gaps are `is_exact` those of the
-    deformed surfaces.
-    Collective.
+    Soft contact with an obstacle has in place of it twice what its energy and that of the pressure
+    are more than the work of this. First over all facets with a pressure, second over those alone
+    all of whose vertices have one. The pressure p, over undeformed areas, is linear between nodes.
+    Gaps are `is_exact` those of the deformed surfaces. Collective.
     """
     total = np.zeros((faces.size, 2))
     weight = solved.contact_set.boundary.nodal_weight()
@@ -85,11 +85,35 @@ def gap_energies(
             size = size * np.einsum(
                 "kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f]
             )
-        gap = np.where(np.isfinite(gap), np.maximum(gap, 0.0), 0.0)
-        values = 2.0 * np.sum(p * gap * size, axis=1)
+        soft = np.einsum("kqv,kv->kq", at_points, _softness(faces, nodes, found, result)[k, f])
+        values = np.sum(_work(p, np.where(np.isfinite(gap), gap, 0.0), soft) * size, axis=1)
         np.add.at(total[:, 0], k, values)
         np.add.at(total[:, 1], k, np.where((corners[k, f] > 0.0).all(axis=1), values, 0.0))
     return total
+
+
+def _softness(
+    faces: CellFaces, nodes: NodeMap, found: FoundContact, result: ContactResult
+) -> Vector:
+    """Return penetrations over pressures at the corners of facets (k, f, v) [m/Pa]. Collective.
+
+    Gaps between surfaces are known at nodes alone, where penetrations follow from the pressures.
+    """
+    if found.law is None or not isinstance(found.contact, RigidObstacle):
+        return np.zeros((faces.size, *faces.corners.shape))
+    softness = found.law.compliance[:, 0] * found.conditions.area
+    return at_local_nodes(nodes, result.dofs, softness)[faces.facet_corners()]
+
+
+def _work(p: Vector, gap: Vector, soft: Vector) -> Vector:
+    """Return what pressures over gaps add to the square of the error [J/m^2], where these are soft.
+
+    It is zero for penetrations `soft` * p, and for larger ones, as it is with hard contact.
+    """
+    positive = np.where(soft > 0.0, soft, 1.0)
+    penetrating = np.maximum(soft * p + gap, 0.0) ** 2 / positive
+    apart = soft * p**2 + 2.0 * p * np.maximum(gap, 0.0)
+    return np.where((soft > 0.0) & (gap < 0.0), penetrating, apart)
 
 
 def remarks(faces: CellFaces, nodes: NodeMap, solved: SolvedContacts, is_exact: bool) -> list[str]:

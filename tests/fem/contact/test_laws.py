@@ -294,7 +294,7 @@ def test_wrong_laws_are_named(wrong, message):
         wrong()
 
 
-LAWS = [{"law": SoftContact(1.0)}, {"friction": Tresca(1.0, elastic_slip=1.0)}]
+LAWS = [{"law": Adhesive(1.0)}, {"friction": Tresca(1.0, elastic_slip=1.0)}]
 
 
 @pytest.mark.parametrize("data", LAWS)
@@ -310,7 +310,7 @@ def test_what_is_for_undeformed_surfaces_alone(data):
         NonlinearContactProblem(F, u, bcs=scene.bcs, contacts=scene.contacts)
     problem = scene.problem()
     problem.solve()
-    with pytest.raises(InputError, match=r"mesh_error\(\) is of hard contact"):
+    with pytest.raises(InputError, match=r"mesh_error\(\) is of hard or soft contact"):
         problem.mesh_error()
     with pytest.raises(InputError, match="derivatives are of hard contact"):
         problem.adjoint(normal_forces={0: 1.0})

@@ -28,7 +28,7 @@ from scenes import CELLS, POISSON, Scene, at, dimension, pressed_block, stress
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Deformed, InputError, Nearest, Plane, RigidBody, TiedPair
+from fenics_tfeti import Deformed, InputError, Nearest, Plane, RigidBody, SoftContact, TiedPair
 from fenics_tfeti.io import tag_facets
 
 COMM = MPI.COMM_SELF
@@ -294,6 +294,31 @@ def test_springs_in_place_of_a_support(cell):
     del scene.bcs[0]
     scene.a += spring * scene.u[0] * scene.v[0] * scene.ds(LEFT)
     assert error_of(scene).error == pytest.approx(supported.error, rel=0.03)
+
+
+def soft_roller(stiffness, n, degree=1):
+    scene = roller(COMM, n, degree)
+    obstacle, scene.contacts = scene.contacts[0].obstacle, []
+    scene.add_obstacle(FOOT, obstacle, law=SoftContact(stiffness), name="roller")
+    return scene
+
+
+@pytest.mark.parametrize("degree", DEGREES)
+@pytest.mark.parametrize("stiffness", (1e10, 1e12))
+def test_soft_contact_with_an_obstacle(stiffness, degree):
+    """About as stiff as the block, and much stiffer."""
+    fine_scene = soft_roller(stiffness, 24, 2)
+    problem, fine = posed(soft_roller(stiffness, 8, degree)), posed(fine_scene)
+    problem.solve()
+    fine.solve()
+    estimate = problem.mesh_error()
+    error = true_error(problem, fine, fine_scene)
+    assert 0.8 < estimate.error * estimate.energy_norm / error < 1.7
+
+
+def test_very_stiff_contact_is_as_hard_contact():
+    hard, soft = error_of(roller(COMM, 8)), error_of(soft_roller(1e17, 8))
+    assert soft.error == pytest.approx(hard.error, rel=1e-4)
 
 
 def test_rigid_body_on_springs_carries_the_obstacle():
