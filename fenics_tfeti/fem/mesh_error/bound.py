@@ -178,7 +178,7 @@ class _Bound:
         gap, outward = distances_to_obstacle(
             self._faces, entry, self._problem.solved, facets, normals, False
         )
-        moved = self._moved[self._faces.facet_nodes(k)[np.arange(k.size), f]]
+        moved = self._moved[self._faces.nodes_at((k, f))]
         at_points = np.einsum("kqt,ktd->kqd", self._faces.rule.traces[f], moved)
         return gap + np.sum(outward * at_points, axis=2), outward
 
@@ -192,7 +192,7 @@ class _Bound:
         largest = np.zeros((nodes.size, 1 + self._dim))
         k, f = facets
         for t in range(self._faces.closure.shape[1]):
-            at = self._faces.facet_nodes(k)[np.arange(k.size), f][:, t]
+            at = self._faces.nodes_at((k, f))[:, t]
             np.maximum.at(largest[:, 0], at, depth)
             largest[at, 1:] = outward[:, 0]
         depths = over_ranks(nodes, largest[:, 0], np.maximum)
@@ -242,7 +242,7 @@ class _Bound:
         name, facets = repr(entry.conditions.name), self._facets(entry)
         k, f = facets
         normals, moments, tractions = self._of_facets(facets)
-        nodes = self._faces.facet_nodes(k)[np.arange(k.size), f]
+        nodes = self._faces.nodes_at((k, f))
         x = self._faces.node_points(1, k)[np.arange(k.size)[:, None], self._faces.closure[f]]
         u = self._u[nodes] + self._moved[nodes]
         others = _coincident(self._comm, x, (moments, u))

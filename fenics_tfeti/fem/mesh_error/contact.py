@@ -43,7 +43,8 @@ def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) 
     )
     mask = np.zeros(nodes.size, dtype=bool)
     mask[: nodes.owned] = marks > 0
-    return over_ranks(nodes, mask, np.logical_or)[faces.facet_nodes()].all(axis=2)
+    is_at = over_ranks(nodes, mask, np.logical_or)[faces.nodes]
+    return np.stack([is_at[:, closure].all(axis=1) for closure in faces.closure], axis=1)
 
 
 def tagged(faces: CellFaces, facet_tags: object, tags: list[int]) -> Mask:
@@ -68,11 +69,10 @@ def gap_energies(
     for found, result in zip(solved.contact_set.contacts, solved.contacts, strict=True):
         assert isinstance(found.contact, ContactPair | RigidObstacle)
         pressure = at_local_nodes(nodes, result.dofs, np.maximum(result.nominal_pressure, 0.0))
-        corners = pressure[faces.facet_corners()]
         on_slave = tagged(faces, found.contact.facet_tags, surface_tags(found.contact)[:1])
-        k, f = np.nonzero(on_slave & (corners > 0.0).any(axis=2))
-        at_points = _linear(faces)[f]
-        p = np.einsum("kqv,kv->kq", at_points, corners[k, f])
+        k, f = _touching(faces, on_slave, pressure > 0.0)
+        corners, at_points = pressure[faces.corners_at((k, f))], _linear(faces)[f]
+        p = np.einsum("kqv,kv->kq", at_points, corners)
         weighted = faces.weighted_normals(k)[np.arange(k.size), f]
         size = np.linalg.norm(weighted, axis=2)
         if isinstance(found.contact, RigidObstacle):
@@ -82,27 +82,29 @@ def gap_energies(
         else:
             gap = _gaps_between_nodes(faces, nodes, result, (k, f))
         if weight is not None:
-            size = size * np.einsum(
-                "kqv,kv->kq", at_points, weight[faces.facet_corners(k)][np.arange(k.size), f]
-            )
-        soft = np.einsum("kqv,kv->kq", at_points, _softness(faces, nodes, found, result)[k, f])
+            size = size * np.einsum("kqv,kv->kq", at_points, weight[faces.corners_at((k, f))])
+        soft = np.einsum("kqv,kv->kq", at_points, _softness(faces, nodes, found, result, (k, f)))
         values = np.sum(_work(p, np.where(np.isfinite(gap), gap, 0.0), soft) * size, axis=1)
         np.add.at(total[:, 0], k, values)
-        np.add.at(total[:, 1], k, np.where((corners[k, f] > 0.0).all(axis=1), values, 0.0))
+        np.add.at(total[:, 1], k, np.where((corners > 0.0).all(axis=1), values, 0.0))
     return total
 
 
 def _softness(
-    faces: CellFaces, nodes: NodeMap, found: FoundContact, result: ContactResult
+    faces: CellFaces,
+    nodes: NodeMap,
+    found: FoundContact,
+    result: ContactResult,
+    facets: tuple[Numbers, Numbers],
 ) -> Vector:
-    """Return penetrations over pressures at the corners of facets (k, f, v) [m/Pa]. Collective.
+    """Return penetrations over pressures at the corners of facets (k, v) [m/Pa]. Collective.
 
     Gaps between surfaces are known at nodes alone, where penetrations follow from the pressures.
     """
     if found.law is None or not isinstance(found.contact, RigidObstacle):
-        return np.zeros((faces.size, *faces.corners.shape))
+        return np.zeros(faces.corners_at(facets).shape)
     softness = found.law.compliance[:, 0] * found.conditions.area
-    return at_local_nodes(nodes, result.dofs, softness)[faces.facet_corners()]
+    return at_local_nodes(nodes, result.dofs, softness)[faces.corners_at(facets)]
 
 
 def _work(p: Vector, gap: Vector, soft: Vector) -> Vector:
@@ -156,12 +158,18 @@ def _around(
     """Return the facets at nodes that are pressed, and their neighbours. Collective."""
     near = pressed
     for _ in range(2):
-        mask = on_slave & near[faces.facet_corners()].any(axis=2)
+        facets = _touching(faces, on_slave, near)
         near = np.zeros(nodes.size, dtype=bool)
-        near[faces.facet_nodes()[mask].ravel()] = True
+        near[faces.nodes_at(facets).ravel()] = True
         near = over_ranks(nodes, near, np.logical_or)
-    k, f = np.nonzero(mask)
-    return k, f
+    return facets
+
+
+def _touching(faces: CellFaces, on_slave: Mask, chosen: Mask) -> tuple[Numbers, Numbers]:
+    """Return the facets on a slave that have a vertex among some nodes."""
+    k, f = np.nonzero(on_slave)
+    touching = chosen[faces.corners_at((k, f))].any(axis=1)
+    return k[touching], f[touching]
 
 
 def _jumps(
@@ -234,7 +242,7 @@ def distances_to_obstacle(
     (k, f), d, rule = facets, faces.dim, rule or faces.rule
     shape = k.size, normal.shape[1], d
     x, u = np.zeros(shape), np.zeros(shape)
-    nodal = solved.displacement.x.array.reshape(-1, d)[faces.facet_nodes(k)[np.arange(k.size), f]]
+    nodal = solved.displacement.x.array.reshape(-1, d)[faces.nodes_at((k, f))]
     for number, points in enumerate(rule.points):
         on = f == number
         x[on] = faces.points(points, k[on])
@@ -261,5 +269,5 @@ def _gaps_between_nodes(
     """Return the openings (k, q) at points on facets, by those at nodes [m]. Collective."""
     finite = np.where(np.isfinite(result.opening), result.opening, 0.0)
     opening, (k, f) = at_local_nodes(nodes, result.dofs, finite), facets
-    at_nodes = opening[faces.facet_nodes(k)[np.arange(k.size), f]]
+    at_nodes = opening[faces.nodes_at((k, f))]
     return np.einsum("kqt,kt->kq", faces.rule.traces[f], at_nodes)

@@ -110,9 +110,15 @@ class CellFaces:
         """Return the local nodes (k, f, t) of the facets of some of the cells."""
         return self.nodes[rows][:, self.closure]
 
-    def facet_corners(self, rows: Numbers | slice = slice(None)) -> Indices:
-        """Return the local nodes (k, f, v) at the vertices of the facets of some of the cells."""
-        return self.nodes[rows][:, self.corners]
+    def nodes_at(self, facets: tuple[Numbers, ...]) -> Indices:
+        """Return the local nodes (m, t) of facets: numbers of cells (m,), and in these (m,)."""
+        k, f = facets
+        return self.nodes[k[:, None], self.closure[f]]
+
+    def corners_at(self, facets: tuple[Numbers, ...]) -> Indices:
+        """Return the local nodes (m, v) at the vertices of facets."""
+        k, f = facets
+        return self.nodes[k[:, None], self.corners[f]]
 
     def points(self, reference: Vector, rows: Numbers | slice = slice(None)) -> Vector:
         """Return the places (k, q, d) of points of the reference cell [m]."""

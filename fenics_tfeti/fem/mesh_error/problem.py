@@ -35,8 +35,8 @@ from fenics_tfeti.typing import Indices, Numbers, Vector
 _STEPS = 5
 # bytes of the matrices of the cells that are kept at once
 _BYTES = 2**25
-# cells whose forces are computed at once
-_CELLS = 2**12
+# numbers of the matrices with which forces are computed at once
+_NUMBERS = 2**18
 # forces of a cell, relative to those of its stiffness and displacements one by one, that are none
 _ROUNDING = 1e-12
 
@@ -113,7 +113,7 @@ class MeshErrorProblem:
         W = _compat.lagrange_space(faces.space.mesh, faces.degree, faces.dim, discontinuous=True)
         w = Function(W)
         values, dofs = w.x.array.reshape(-1, faces.dim), _compat.cell_dofs(W)
-        for batch in batches(faces.size, _CELLS):
+        for batch in batches(faces.size, max(1, _NUMBERS // faces.closure.size)):
             values[dofs[faces.cells[batch]]] = self.u(batch)
         points = faces.stress_rule.points.reshape(-1, faces.dim)
         return CellStress(forms.bilinear, forms.linear, w, points)
@@ -122,7 +122,8 @@ class MeshErrorProblem:
         """Return the forces L - a(u, .) (k, n, d) of each cell, and what rounding may make [N]."""
         faces, forms = self.faces, self.torn.torn.forms
         residual, rounding = np.zeros((*faces.nodes.shape, faces.dim)), 0.0
-        for batch in batches(faces.size, _CELLS):
+        forces_of_cell = faces.nodes.shape[1] * faces.dim
+        for batch in batches(faces.size, max(1, _NUMBERS // forces_of_cell**2)):
             cells, u = faces.cells[batch], self.u(batch)
             A, load = forms.cell_matrices(cells), forms.cell_loads(cells)
             number = np.arange(len(u), dtype=np.int32)

@@ -117,18 +117,19 @@ def _dots(x: Vector, y: Vector) -> Vector:
 
 
 def _rings(faces: CellFaces, rows: Numbers) -> tuple[Indices, Indices]:
-    """Return the entities (g, e) around which there are rings, numbered, and the facets at each."""
-    d, domain = faces.dim, faces.space.mesh
-    entities = basix.topology(getattr(basix.CellType, faces.kind.name))[d - 2]
+    """Return the entities (g, e) around which there are rings, numbered, and the facets at each.
+
+    They are vertices in two dimensions, edges in three, told apart by their vertices' nodes.
+    """
+    entities = basix.topology(getattr(basix.CellType, faces.kind.name))[faces.dim - 2]
     at_entity = np.array(
         [[f for f, v in enumerate(faces.kind.facets) if set(e) <= set(v)] for e in entities],
         dtype=np.int32,
     )
-    domain.topology.create_entities(d - 2)
-    domain.topology.create_connectivity(d, d - 2)
-    table = np.asarray(domain.topology.connectivity(d, d - 2).array).reshape(-1, len(at_entity))
-    of_cells = table[faces.cells[rows]]
-    return numbered(of_cells, of_cells[..., None][..., :0])[0], at_entity
+    vertices = np.sort(faces.nodes[rows][:, np.array(entities)], axis=2).astype(np.int64)
+    keys = vertices[..., 0] * faces.node_count + vertices[..., -1]
+    _, number = np.unique(keys, return_inverse=True)
+    return number.reshape(rows.size, -1).astype(np.int32), at_entity
 
 
 class _Preconditioner:

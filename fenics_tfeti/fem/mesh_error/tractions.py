@@ -29,8 +29,8 @@ from fenics_tfeti.fem.topology import global_numbers
 from fenics_tfeti.parallel import Directory, any_rank, largest_of_ranks
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
-# cells whose own tractions are computed at once
-_CELLS = 2**12
+# numbers of the stresses that are computed at once
+_NUMBERS = 2**18
 # nodes with a contact force have more of it than this, relative to the largest one
 _LOADED = 1e-6
 # forces that are out of balance, relative to the largest force of a cell, are those of a support or
@@ -58,10 +58,11 @@ class FacetKinds:
         single = _single(faces, nodes)
         at_rigid = single & ~exterior
         fixed = fixed.copy()
-        fixed[faces.facet_nodes()[at_rigid].ravel()] = True
+        fixed[faces.nodes_at(np.nonzero(at_rigid)).ravel()] = True
         fixed = over_ranks(nodes, fixed, np.logical_or)
-        support = fixed[faces.facet_nodes()].all(axis=2) & single[:, :, None]
-        return FacetKinds(contact, single, fixed, ~single[:, :, None] | support)
+        free = np.repeat(~single[:, :, None], faces.dim, axis=2)
+        free[single] = fixed[faces.nodes_at(np.nonzero(single))].all(axis=1)
+        return FacetKinds(contact, single, fixed, free)
 
 
 @dataclass(frozen=True)
@@ -107,16 +108,20 @@ def equilibrated_tractions(
         If forces act on nodes whose facets are neither supported nor of a contact or tie.
     """
     summed = np.zeros((nodes.size, faces.dim))
-    add_rows(summed, faces.nodes.ravel(), residual.reshape(-1, faces.dim))
+    for batch in batches(faces.size, _NUMBERS):
+        add_rows(summed, faces.nodes[batch].ravel(), residual[batch].reshape(-1, faces.dim))
     force = np.where(kinds.fixed, 0.0, -over_ranks(nodes, summed))
     at_contact = np.zeros(nodes.size, dtype=bool)
-    at_contact[faces.facet_nodes()[kinds.contact].ravel()] = True
+    facets = np.nonzero(kinds.contact)
+    at_contact[faces.nodes_at(facets).ravel()] = True
     force[~over_ranks(nodes, at_contact, np.logical_or)] = 0.0
     sizes = np.abs(force).max(axis=1, initial=0.0)
     loaded = sizes > _LOADED * largest_of_ranks(nodes.comm, sizes)
-    pressing = loaded[faces.facet_corners()].all(axis=2) & kinds.contact
+    pressing = np.zeros_like(kinds.contact)
+    pressing[facets] = loaded[faces.corners_at(facets)].all(axis=1)
     known = ContactMoments.of(faces, nodes, kinds, pressing, force)
-    largest = _UNBALANCED * largest_of_ranks(nodes.comm, np.abs(residual))
+    sizes = np.array([residual.max(initial=0.0), -residual.min(initial=0.0)])
+    largest = _UNBALANCED * largest_of_ranks(nodes.comm, sizes)
     problems = _TractionProblems(faces, nodes, kinds, residual, known, own)
     problems.solve()
     largest += largest_of_ranks(nodes.comm, np.array([rounding]))
@@ -151,7 +156,7 @@ def own_moments(faces: CellFaces, stress: CellStress) -> Vector:
     rule, d = faces.stress_rule, faces.dim
     f, q, t = rule.traces.shape
     own = np.zeros((faces.size, f, t, d))
-    for batch in batches(faces.size, _CELLS):
+    for batch in batches(faces.size, max(1, _NUMBERS // (f * q * d * d))):
         T = stress.at(faces.cells[batch]).reshape(-1, f, q, d, d)
         normals = faces.weighted_normals(batch, rule)
         tractions = np.zeros((len(T), f, q, d))
