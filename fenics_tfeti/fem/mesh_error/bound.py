@@ -33,6 +33,8 @@ from fenics_tfeti.typing import Numbers, Vector
 _ROUNDING = 1e-8
 # distances of nodes, relative to the mesh, at one place
 _SAME_PLACE = 1e-9
+# initial gaps that are those of surfaces that coincide
+_OF_MESH = ("geometric", "touching")
 # penetration, relative to the largest displacement, that is rounding
 _PENETRATION = 1e-9
 
@@ -74,13 +76,17 @@ def _against_form(problem: MeshErrorProblem) -> list[str]:
 
 def _against_contacts(problem: MeshErrorProblem) -> list[str]:
     """Return what is against a bound in the laws of contacts, by name."""
-    reasons = ["gaps are those of deformed surfaces"] if problem.is_exact else []
+    checks = {
+        "gaps are those of deformed surfaces": problem.is_exact,
+        "there are rigid bodies": bool(problem.solved.body_results),
+    }
+    reasons = [reason for reason, is_against in checks.items() if is_against]
     for entry in problem.solved.contact_set.entries:
         user = entry.contact if isinstance(entry, FoundContact) else entry.tie
         checks = {
             "has friction": getattr(user, "friction", None) is not None,
             "has a law": getattr(user, "law", None) is not None,
-            "is on a rigid body": getattr(user, "rigid_body", None) is not None,
+            "has an initial gap": getattr(user, "initial_gap", "geometric") not in _OF_MESH,
             "is no contact or tie of surfaces": not isinstance(
                 user, ContactPair | RigidObstacle | TiedPair
             ),

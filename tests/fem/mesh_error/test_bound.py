@@ -11,7 +11,7 @@ from scenes import Scene, at, dimension
 
 import ufl
 
-from fenics_tfeti import Plane, TiedPair
+from fenics_tfeti import Plane, RigidBody, TiedPair
 
 COMM = MPI.COMM_SELF
 BOTTOM, TOP, LEFT, BELOW, ABOVE = 1, 2, 3, 4, 5
@@ -171,8 +171,19 @@ AGAINST = {
     "'contact 0 (obstacle)' has friction": lambda: CASES["slider"](COMM, 2),
     "'roller' has an obstacle whose normal turns inside facets": lambda: roller(COMM, 4),
     "'contact 0 (obstacle)' has negative pressures between nodes": lambda: CASES["punch"](COMM, 8),
+    "there are rigid bodies": lambda: on_a_rigid_body(),
+    "'joint' has an initial gap": lambda: beams(COMM, 2, pair={"initial_gap": 1e-6}),
     "'joint' has facets that do not coincide": lambda: beams(COMM, 4, unlike=1.5),
 }
+
+
+def on_a_rigid_body() -> Scene:
+    scene = block("ground", 2)
+    scene.contacts = []
+    ground = Plane((0.0, 0.0), (0.0, 1.0))
+    body = RigidBody((0.0, 0.0), translation=(0.0, 0.0), rotation=0.0)
+    scene.add_obstacle(BOTTOM, ground, rigid_body=body, name="ground")
+    return scene
 
 
 def varying(scene: Scene):
