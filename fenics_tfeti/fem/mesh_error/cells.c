@@ -461,26 +461,31 @@ static size row_of(const Cells *c, size at, size i)
 /* Sum up values (cells, f * m, v) of cells on facets (facets, m, v). */
 void mesh_error_to_facets(const Cells *c, const double *values, double *total)
 {
-  size m = c->t * c->d, v = c->v;
-  memset(total, 0, c->facets * m * v * sizeof *total);
+  size t = c->t, w = c->d * c->v;
+  memset(total, 0, c->facets * t * w * sizeof *total);
+  /* moments of all facets of all cells are one after the other */
   for (size at = 0; at < c->cells * c->f; at++) {
-    double sign = sign_of(c, at), *sum = total + c->facet[at] * m * v;
-    const double *of_cell = values + at / c->f * c->f * m * v;
-    for (size i = 0; i < m; i++)
-      for (size a = 0; a < v; a++)
-        sum[i * v + a] += sign * of_cell[row_of(c, at, i) * v + a];
+    double sign = sign_of(c, at), *sum = total + c->facet[at] * t * w;
+    for (size i = 0; i < t; i++) {
+      const double *of_node = values + (at * t + c->place[at * t + i]) * w;
+      for (size a = 0; a < w; a++)
+        sum[i * w + a] += sign * of_node[a];
+    }
   }
 }
 
 static void gather(const Cells *c, size cell, const double *p, double *of_cell)
 {
-  size m = c->t * c->d, v = c->v;
-  for (size at = cell * c->f; at < (cell + 1) * c->f; at++) {
+  size t = c->t, w = c->d * c->v;
+  for (size q = 0; q < c->f; q++) {
+    size at = cell * c->f + q;
     double sign = sign_of(c, at);
-    const double *of_facet = p + c->facet[at] * m * v;
-    for (size i = 0; i < m; i++)
-      for (size a = 0; a < v; a++)
-        of_cell[row_of(c, at, i) * v + a] = sign * of_facet[i * v + a];
+    const double *of_facet = p + c->facet[at] * t * w;
+    for (size i = 0; i < t; i++) {
+      double *of_node = of_cell + (q * t + c->place[at * t + i]) * w;
+      for (size a = 0; a < w; a++)
+        of_node[a] = sign * of_facet[i * w + a];
+    }
   }
 }
 

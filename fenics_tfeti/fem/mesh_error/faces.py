@@ -140,8 +140,11 @@ class CellFaces:
         """Return the outward normals n dS (k, f, q, d) at the points of a rule on the facets."""
         x, rule = self._coordinates(rows), rule or self.rule
         weighted = []
+        if self._is_affine:
+            J = self._jacobians(x, rule.points[0, :1])
         for points, normal in zip(rule.points, rule.normals, strict=True):
-            J = self._jacobians(x, points[:1] if self._is_affine else points)
+            if not self._is_affine:
+                J = self._jacobians(x, points)
             normals = _along_areas(J, normal)
             weighted.append(normals * rule.weights[:, None])
         return np.stack(weighted, axis=1)

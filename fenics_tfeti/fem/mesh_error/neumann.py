@@ -31,8 +31,8 @@ _ENTRIES = 2**19
 _SAME_PLACE = 1e-11
 # decimals of the numbers that stand for coordinates and data
 _DIGITS = 9
-# classes, relative to the number of cells, that are few
-_FEW = 0.5
+# classes, relative to the number of cells, that are few; cells that are looked at first
+_FEW, _SAMPLE = 0.5, 256
 # energy of a rigid motion of a cell, relative to its stiffness, that is more than rounding
 _RESISTED = 1e-9
 
@@ -151,30 +151,34 @@ class NeumannProblems:
         """Return the first cell (c,) of each class of congruent cells, and the class of each (g,).
 
         Congruent cells are translated, with the same coefficients and tags. Where there are hardly
-        any, each cell is a class of its own.
+        any, also among a few of the cells, each cell is a class of its own.
         """
         every, number = np.arange(rows.size), np.arange(rows.size, dtype=np.int32)
         if self._is_tangent or not self.bilinear.translation_invariant:
             return every, number
+        sample = rows[:: max(1, rows.size // _SAMPLE)]
+        for some in (sample, rows):
+            columns, coordinates = self._cell_data(some)
+            weights = np.random.default_rng(0).uniform(1.0, 2.0, columns.shape[1])
+            mixed = np.round(columns @ weights, _DIGITS)
+            _, first, classes = np.unique(mixed, return_index=True, return_inverse=True)
+            if first.size > _FEW * some.size:
+                return every, number
+        # the numbers stand for the data, which decide
+        tolerance = np.where(np.arange(columns.shape[1]) < coordinates, _SAME_PLACE, 0.0)
+        differs = (np.abs(columns - columns[first[classes]]) > tolerance).any(axis=1)
+        own = np.flatnonzero(differs)
+        classes[own] = first.size + np.arange(own.size)
+        return np.append(first, own), classes.astype(np.int32)
+
+    def _cell_data(self, rows: Numbers) -> tuple[Vector, int]:
+        """Return what cells differ in: relative coordinates, in so many columns, and other data."""
         x = self.faces.node_points(self.faces.geometry_degree, rows)
         x = (x - x[:, :1]).reshape(rows.size, -1)
         x /= np.abs(x).max(initial=0.0) or 1.0
         cells = self.faces.cells[rows]
         data = [x, *(values[cells].reshape(rows.size, -1) for values in self._data)]
-        columns = np.hstack(data)
-        weights = np.random.default_rng(0).uniform(1.0, 2.0, columns.shape[1])
-        mixed = np.round(columns @ weights, _DIGITS)
-        _, first, classes = np.unique(mixed, return_index=True, return_inverse=True)
-        if first.size > _FEW * rows.size:
-            return every, number
-        # the numbers stand for the data, which decide
-        scale = np.concatenate(
-            [np.full(x.shape[1], _SAME_PLACE), np.zeros(columns.shape[1] - x.shape[1])]
-        )
-        differs = (np.abs(columns - columns[first[classes]]) > scale).any(axis=1)
-        own = np.flatnonzero(differs)
-        classes[own] = first.size + np.arange(own.size)
-        return np.append(first, own), classes.astype(np.int32)
+        return np.hstack(data), x.shape[1]
 
     def stiffness(self, rows: Numbers) -> Vector:
         """Return the stiffness matrices (g, w, w) of some cells."""

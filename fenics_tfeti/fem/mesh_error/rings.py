@@ -97,17 +97,19 @@ def improved_energies(
     v = energies.constant.shape[1]
     p, old = np.zeros((len(facets.free), facets.moments, v)), np.ones(v)
     change = np.zeros_like(p)
+    r = -loops.to_facets(energies.gradient)
     for _ in range(steps):
-        r = -loops.to_facets(energies.gradient)
         z = preconditioner(r)
         rho = _dots(r, z)
         p = z + rho / old * p
         old = np.where(rho > 0.0, rho, 1.0)
         Qp = loops.stiffness(p)
-        curvature = _dots(p, loops.to_facets(Qp))
+        total = loops.to_facets(Qp)
+        curvature = _dots(p, total)
         alpha = np.where(curvature > 0.0, rho / np.where(curvature > 0.0, curvature, 1.0), 0.0)
         loops.advance(alpha, p, Qp, energies.gradient, energies.constant)
         change += alpha * p
+        r -= alpha * total
     return energies.constant, lambda: facets.to_cells(change)
 
 
