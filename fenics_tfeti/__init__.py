@@ -13,6 +13,7 @@ from typing import Any
 
 from fenics_tfeti.errors import (
     ContactError,
+    DamageNotFound,
     FactorizationError,
     InputError,
     Interrupted,
@@ -29,7 +30,7 @@ _LAZY = {
     for module, names in {
         "fem.contact.descriptions.contacts": "ContactPair Deformed RigidObstacle SelfContact",
         "fem.contact.descriptions.friction": "Coulomb Tresca",
-        "fem.contact.descriptions.laws": "Adhesive ElasticBond SoftContact",
+        "fem.contact.descriptions.laws": "Adhesive Cohesive ElasticBond SoftContact",
         "fem.contact.descriptions.partners": "Along Mapped Mortar Nearest Points",
         "fem.contact.descriptions.rigid_body": "RigidBody",
         "fem.contact.descriptions.shapes": "Cylinder FacetedObstacle Plane Sphere",
@@ -43,7 +44,7 @@ _LAZY = {
         "nonlinear": "NonlinearContactProblem NonlinearReport",
         "options": "ContactOptions NewtonOptions",
         "problem": "ContactProblem",
-        "report": "ContactReport",
+        "report": "ContactReport DamageEntry DamageStep",
         "sensitivities.adjoint": "Adjoint",
         "sensitivities.deformed": "DeformedAdjoint DeformedTangent",
         "sensitivities.linear_solves": "LinearSolves",
@@ -54,6 +55,7 @@ _LAZY = {
 
 __all__ = [
     "ContactError",
+    "DamageNotFound",
     "FactorizationError",
     "OutOfMemory",
     "InputError",

@@ -84,6 +84,13 @@ class NotConverged(_WithIterate, ContactError, RuntimeError):
     """
 
 
+class DamageNotFound(NotConverged):
+    """The damage of bonds at the loads was not found, or they carry less; nothing has changed.
+
+    Displacement, results and damage are those of the last solve that has ended.
+    """
+
+
 class Interrupted(_WithIterate, KeyboardInterrupt):
     """Ctrl-C, or SIGINT to a rank, has ended a solve on all ranks.
 

@@ -39,6 +39,9 @@ _NARROW, _LOADED = 0.5, 0.01
 _SAME = 1e-4
 # opening of a node that is open, relative to the displacement
 _OPEN = 1e-6
+# nodes between bonds that have failed and those without damage from which on cracks are resolved;
+# opening at failure, relative to the elastic one, beyond which passes on the damage may not end
+_ZONE, _STIFF = 3, 50.0
 # strains that are more than rounding, and less than those of structures that carry a load
 _UNSTRAINED = (1e-13, 1e-8)
 
@@ -55,6 +58,25 @@ def contact_findings(solved: SolvedContacts, bodies: Bodies, length: str) -> lis
         *contacts.overlapping(length),
         *contacts.deep_obstacles(bodies, length),
     ]
+
+
+def bond_findings(solved: SolvedContacts, length: str) -> list[str]:
+    """Return what there is to check about bonds that break. Collective."""
+    bonded = solved.contact_set.bonded
+    if not bonded:
+        return []
+    comm, texts = solved.contact_set.boundary.nodes.comm, list[str]()
+    for found, bonds, _ in bonded:
+        largest = largest_of_ranks(comm, bonds.ductility)
+        if largest > _STIFF:
+            texts.append(
+                f"{found.conditions.name!r} has bonds that fail at {largest:.0f} times the opening "
+                "at which they soften: many passes, or none that end. Give them a smaller "
+                "stiffness, or leave it out: closed surfaces are hard in any case"
+            )
+    if any_rank(comm, [np.any(bonds.bonded & (damage >= 1.0)) for _, bonds, damage in bonded]):
+        texts += _Contacts(solved).short_zones(length)
+    return texts
 
 
 def apart_findings(solved: SolvedContacts) -> list[str]:
@@ -91,19 +113,20 @@ def strain_findings(largest_strain: float) -> list[str]:
 
 
 def unaccepted_step(solved: SolvedContacts, u: Vector, before: Vector | None) -> list[str]:
-    """Return what there is to check about friction in another step than the last one. Collective.
+    """Return what there is to check about the history in another step than the last. Collective.
 
     The displacements (n,) of this rank are those of both solves, if the last was not accepted.
     """
     contacts = solved.contact_set.contacts
-    if before is None or all(found.friction is None for found in contacts):
+    rubs = any(found.friction is not None for found in contacts)
+    breaks = bool(solved.contact_set.bonded)
+    if before is None or not (rubs or breaks):
         return []
     comm = solved.contact_set.boundary.nodes.comm
     if largest_of_ranks(comm, np.abs(u - before)) <= _SAME * largest_of_ranks(comm, np.abs(u)):
         return []
-    return [
-        "friction counts slip from the same state as the last solve: advance() accepts a load step"
-    ]
+    what = " and ".join(["friction counts slip"] * rubs + ["damage grows"] * breaks)
+    return [f"{what} from the same state as the last solve: advance() accepts a load step"]
 
 
 class _Contacts:
@@ -116,12 +139,12 @@ class _Contacts:
         self._names = {found.number: repr(found.conditions.name) for found in self._found}
         results = solved.contacts
         self._number = self._numbers([result.active.size for result in results])
-        self._active = np.concatenate([result.active for result in results])
+        self._acts = np.concatenate([result.nodal_normal_force != 0.0 for result in results])
         self._opening = np.concatenate([result.opening for result in results])
 
     def untouched(self, length: str) -> list[str]:
-        """Say how far the nearest contact is open where none presses. Collective."""
-        if any_rank(self._comm, self._active) or self.without_unknowns():
+        """Say how far the nearest contact is open where none presses or pulls. Collective."""
+        if any_rank(self._comm, self._acts) or self.without_unknowns():
             return []
         gaps = -self._extremes(-self._opening, self._number, -np.inf)
         nearest = min(self._names, key=gaps.__getitem__)
@@ -209,6 +232,32 @@ class _Contacts:
             wide = pressing.passed_on(wide)
         return depth, wide, pressing
 
+    def short_zones(self, length: str) -> list[str]:
+        """Name contacts with few nodes where bonds soften before a crack. Collective."""
+        surfaces = _Pressing.of(self._solved)
+        failed, intact = (np.zeros(surfaces.contact.size, dtype=bool) for _ in range(2))
+        size, numbers = np.zeros(surfaces.contact.size), dict[int, Numbers]()
+        for found, rows in zip(self._found, self._solved.contact_set.positions, strict=True):
+            numbers[id(found)] = surfaces.place[rows]
+        for found, bonds, damage in self._solved.contact_set.bonded:
+            place = numbers[id(found)]
+            size[place] = found.conditions.surface.size[found.conditions.on_surface]
+            failed[place] = bonds.bonded & (damage >= 1.0)
+            intact[place] = bonds.bonded & (damage <= 0.0)
+        texts, near = dict[int, str](), failed
+        for softening in range(_ZONE):
+            near = surfaces.passed_on(near)
+            met = self._extremes(np.where(near & intact, size, 0.0), surfaces.contact, 0.0)
+            for k, name in self._names.items():
+                if met[k] > 0.0 and k not in texts:
+                    texts[k] = (
+                        f"{name} softens at {softening} nodes before its crack, over about "
+                        f"{(softening + 1) * met[k]:.2g} {length} with facets of {met[k]:.2g} "
+                        f"{length}: bodies are too strong where it is fewer than {_ZONE}. Refine "
+                        "the mesh along the bond, or take a smaller strength with the same energy"
+                    )
+        return list(texts.values())
+
     def deep_obstacles(self, bodies: Bodies, length: str) -> list[str]:
         """Name obstacles that are deeper in a body than this is long. Collective."""
         obstacles = [f for f in self._found if isinstance(f.contact, RigidObstacle)]
@@ -264,6 +313,7 @@ class _Pressing:
     mask: Mask  # (n,): where it presses
     is_open: Mask  # (n,)
     force: Vector  # (n,) [N]
+    place: Numbers  # of the conditions of all contacts, one after the other, among the nodes
 
     @staticmethod
     def of(solved: SolvedContacts) -> _Pressing:
@@ -292,7 +342,7 @@ class _Pressing:
         mask = force > 0.0
         vertices = nodes.to_global(nodes.facet_nodes)
         is_open &= ~mask
-        return _Pressing(nodes, vertices, facet_contact, contact, mask, is_open, force)
+        return _Pressing(nodes, vertices, facet_contact, contact, mask, is_open, force, place)
 
     def at_corners(self, values: Array) -> Array:
         """Return values (n,) at the corners of facets (f, v). Collective."""

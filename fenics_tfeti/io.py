@@ -4,6 +4,7 @@ Importing this module imports dolfinx.
 """
 
 from fenics_tfeti.fem.io.fields import (
+    BondFields,
     ContactFields,
     FrictionFields,
     contact_fields,
@@ -20,6 +21,7 @@ from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
 
 __all__ = [
+    "BondFields",
     "Box",
     "ContactFields",
     "FrictionFields",

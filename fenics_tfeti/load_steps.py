@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -44,6 +45,7 @@ from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
 from fenics_tfeti.findings import (
     apart_findings,
+    bond_findings,
     contact_findings,
     self_findings,
     strain_findings,
@@ -105,6 +107,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         displacement: Function | None,
     ) -> None:
         self.options, self.space, self._timer = options, space_of_forms(a, L), Timer()
+        self._warned: set[str] = set()  # of what was said about bonds, without numbers
         self._warnings: list[str] = []  # of what was found and assembled
         with keep_warnings(self._warnings):
             if isinstance(contacts, str) and contacts == "auto":
@@ -156,7 +159,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Solve at the present loads."""
 
     def advance(self) -> None:
-        """Accept the last solve as a load step: friction counts slip from its end.
+        """Accept the last solve as a load step: friction counts slip from its end, damage stays.
 
         Raises
         ------
@@ -175,7 +178,9 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 reason += f": the last solve has not converged ({self._report.reason})"
             raise InputError(f"{reason}; call solve() before advance(), and let it converge")
         assert self._solved is not None
-        self._accepted = self._accepted.accepted(self._solved.obstacle_displacements())
+        self._accepted = self._accepted.accepted(
+            self._solved.obstacle_displacements(), self._solved.damage()
+        )
         self._is_solved = False
 
     def reset_slip(self) -> None:
@@ -268,7 +273,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
                 set_load(t)
                 if isinstance(error, InputError):
                     raise
-                raise NotConverged(
+                raise type(error)(
                     f"the load step from {t:g} to {target:g} is not solved, nor were longer ones: "
                     f"{error}",
                     error.solution,
@@ -418,8 +423,14 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             raise
         self._check_sides()
         large = self._look_over(texts, before if is_next else None)
+        bonds = bond_findings(self._solved, self.report.units.length) if self._solved else []
+        self._report = replace(self.report, to_check=(*self.report.to_check, *bonds))
+        # numbers change from step to step
+        new = [text for text in bonds if _without_numbers(text) not in self._warned]
+        self._warned |= {_without_numbers(text) for text in new}
         if not self._has_warned:
-            warn_on_first_rank(self.space.mesh.comm, *large)
+            new += large
+        warn_on_first_rank(self.space.mesh.comm, *new)
         self._has_warned = self._has_warned or bool(large)
 
     def _check_sides(self, failure: Exception | None = None) -> None:
@@ -581,3 +592,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Write the checkpoint, if there is to be one."""
         if checkpoint is not None:
             write_state(checkpoint, self._kind, self._torn.undeformed, self._accepted)
+
+
+def _without_numbers(text: str) -> str:
+    return re.sub(r"[\d.e+-]+", "", text)

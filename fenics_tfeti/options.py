@@ -36,6 +36,9 @@ class ContactOptions:
     units : {"SI", "mm-N-MPa"}
         Units of the mesh, the loads and the material, which reports and their pages write beside
         numbers; of forces in plane problems they are per unit of length.
+    damage_rtol : float
+        Error of the tractions of cohesive bonds, relative to their strength, at which passes on
+        the damage end.
     view : bool
         Print a summary of the report at the end of each solve, on rank 0.
 
@@ -48,10 +51,12 @@ class ContactOptions:
     subdomain_size: int = 3000
     partitioner: Partitioner = "auto"
     units: UnitSystem = "SI"
+    damage_rtol: float = 1e-3
     view: bool = False
 
     def __post_init__(self) -> None:
         check_range(self, "subdomain_size", 0, float("inf"))
+        check_range(self, "damage_rtol", 0.0, 1.0)
 
     def as_dict(self) -> dict[str, Any]:
         """Return all options but those of the solver, by name."""

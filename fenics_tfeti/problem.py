@@ -6,7 +6,10 @@ import ctypes
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any, Literal
+
+import numpy as np
 
 import ufl
 from dolfinx.fem import Constant, Function
@@ -22,6 +25,8 @@ from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, ElasticBond, So
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.solution.bonded import BondedContacts
+from fenics_tfeti.fem.contact.solution.damage import damaged
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
@@ -36,12 +41,13 @@ from fenics_tfeti.newton.equilibrium import DeformedRows, Multipliers, misfit_of
 from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.options import ContactOptions, contact_options
 from fenics_tfeti.parallel import meet, raise_collectively
-from fenics_tfeti.report import ContactReport
+from fenics_tfeti.report import ContactReport, DamageEntry, DamageStep
 from fenics_tfeti.sensitivities.adjoint import Adjoint, Functional, form_and_forces
 from fenics_tfeti.sensitivities.deformed import DeformedAdjoint, DeformedState, DeformedTangent
 from fenics_tfeti.sensitivities.forms import CHANGED, FormsAtSolution, check_functional
 from fenics_tfeti.sensitivities.state import SolvedState
 from fenics_tfeti.sensitivities.tangent import Change, Tangent
+from fenics_tfeti.typing import Array, Vector
 
 
 class ContactProblem(SteppedProblem[ContactReport]):
@@ -500,9 +506,55 @@ class ContactProblem(SteppedProblem[ContactReport]):
         self._refresh()
         solved = None if coarse is None else self._solved_on(coarse)
         if self.gaps is None:
-            self._solve_linearised(self._torn.undeformed, solved, monitor)
+            contact_set = self._torn.undeformed
+            bonded = BondedContacts.of(contact_set, self._accepted.damage)
+            if bonded is not None:
+                return self._solve_bonded(bonded, solved, monitor)
+            self._solve_linearised(contact_set, solved, monitor)
             return self.u
         return self._solve_exactly(self.gaps, solved, monitor, checkpoint)
+
+    def _solve_bonded(
+        self,
+        bonded: BondedContacts,
+        coarse: list[SolvedContact] | None,
+        monitor: MonitorFunction | None,
+    ) -> Function:
+        """Walk to the present loads with the damage of bonds; an error leaves all as it was."""
+        reports = list[ContactReport]()
+
+        def solve(damage: Vector) -> Array:
+            start = None if reports else coarse
+            self._solve_linearised(bonded.with_damage(damage), start, monitor)
+            reports.append(self.report)
+            assert self._solved is not None
+            return bonded.jumps(self._solved)
+
+        dimension = self.space.mesh.topology.dim - 1
+        with self._as_before_errors():
+            found = damaged(bonded.bonds, solve, bonded.before, self.options.damage_rtol, dimension)
+        failed = np.where(bonded.bonds.bonded & (found.damage >= 1.0), 1.0, 0.0)
+        path = [
+            DamageStep(
+                point.factor,
+                point.dissipated,
+                [
+                    (point.factor * np.array(r.force)).tolist()
+                    for r in reports[point.number].reactions
+                ],
+            )
+            for point in found.path
+        ]
+        entry = DamageEntry(
+            bonded.by_contact(found.dissipated),
+            {name: round(number) for name, number in bonded.by_contact(failed).items()},
+            path,
+            sum(after.factor < before.factor for before, after in pairwise(path)),
+            found.passes,
+            sum(report.products["total"] for report in reports),
+        )
+        self._report = replace(self.report, damage=entry)
+        return self.u
 
     def _check_coarse(self, coarse: Any) -> None:
         if (method := self.options.solver.method) != "active_set":

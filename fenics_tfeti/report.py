@@ -24,6 +24,66 @@ from fenics_tfeti.parallel import meet, raise_collectively
 
 
 @dataclass(frozen=True)
+class DamageStep:
+    """An equilibrium on the way to the loads of a solve, where damage has grown.
+
+    Attributes
+    ----------
+    factor : float
+        Its loads, prescribed displacements and gaps over those of the solve: its displacement and
+        forces are this factor times those of the pass that has found it.
+    dissipated : float
+        Energy that the bonds have taken since the last load step [J].
+    reactions : list of (gdim,) lists
+        Force of each Dirichlet condition there [N], in the order of ``report.reactions``.
+    """
+
+    factor: float
+    dissipated: float
+    reactions: list[list[float]]
+
+
+@dataclass(frozen=True)
+class DamageEntry:
+    """How the damage of bonds has grown in a solve.
+
+    Attributes
+    ----------
+    dissipated : dict of str to float
+        Energy that the bonds of each contact have taken since the last load step, by increments
+        (t g' - t' g) / 2 of tractions and jumps along `path`: the work of the loads less what is
+        stored [J].
+    failed : dict of str to int
+        How many bonds of each contact have failed, at nodes.
+    path : list of DamageStep
+        The equilibria on the way to the loads where damage has grown, the last one at them.
+    steps_back : int
+        How many of these have smaller loads than the one before: the crack runs by itself.
+    passes, products : int
+        Solves with a fixed damage, and their products with F. Other figures of the report are those
+        of the last one.
+    """
+
+    dissipated: dict[str, float]
+    failed: dict[str, int]
+    path: list[DamageStep]
+    steps_back: int
+    passes: int
+    products: int
+
+    def __str__(self) -> str:
+        """Return the entry as a line to read."""
+        text = f"{sum(self.dissipated.values()):.4g} dissipated, {sum(self.failed.values())} bonds "
+        text += f"failed; {self.passes} passes, {self.products} products"
+        if self.steps_back:
+            least = min(point.factor for point in self.path)
+            text += (
+                f"; {self.steps_back} of {len(self.path)} steps back, to {least:.3g} of the loads"
+            )
+        return text
+
+
+@dataclass(frozen=True)
 class ContactReport(Report):
     """The solver's report with what belongs to the geometry; equal on all ranks.
 
@@ -45,6 +105,8 @@ class ContactReport(Report):
         midpoints of cells, with finite strains that of Green and Lagrange.
     mesh_error : MeshErrorEntry or None
         The error of the mesh, once `ContactProblem.mesh_error` was called.
+    damage : DamageEntry or None
+        How the damage of bonds has grown in the solve; None of problems without such bonds.
     per_length : bool
         Whether forces, moments and energies are those of a unit of length: in two dimensions, if
         the problem has no `measure_weight`.
@@ -64,6 +126,7 @@ class ContactReport(Report):
     largest_displacement: float = 0.0
     largest_strain: float = 0.0
     mesh_error: MeshErrorEntry | None = None
+    damage: DamageEntry | None = None
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
@@ -87,6 +150,8 @@ class ContactReport(Report):
             f"strain {self.largest_strain:.2g}"
         )
         lines = [*to_check, *table, *roles, self.summary(self.units.force), largest]
+        if self.damage is not None:
+            lines.append(f"{'damage':>16}  {self.damage}")
         if self.mesh_error is not None:
             is_larger = self.mesh_error.error >= self.certificate.error
             mend = "the mesh is larger: refine it" if is_larger else "the iterations is larger"

@@ -23,7 +23,7 @@ from fenics_tfeti.feti.files.arrays import ArrayFile, open_arrays, write_arrays
 from fenics_tfeti.parallel import positions, raise_collectively
 from fenics_tfeti.typing import Array, Numbers, Vector
 
-_FORMAT = "fenics_tfeti step 2"
+_FORMAT = "fenics_tfeti step 3"
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,9 @@ class AcceptedState:
     force: SlaveValues  # (k,): the last normal forces [N]
     origin: SlipOrigin  # from where friction counts slip
     number: int = 0  # of accepted steps
+    damage: SlaveValues = field(
+        default_factory=SlaveValues
+    )  # (k,) of bonds, at the last step's end
     passes: Sequence[GeometryPass] = ()  # finished passes of a solve that was not
     # of adaptive steps the load of the last one, the length of the next one, negative towards
     # smaller loads, the load at the end of all, NaN without; and how many easy ones are the last
@@ -49,10 +52,10 @@ class AcceptedState:
         """Return the step before the first one."""
         return AcceptedState(origin.displacement, SlaveValues(), origin)
 
-    def accepted(self, obstacles: SlaveValues) -> AcceptedState:
-        """Return the step that follows: friction counts slip from the end of this one."""
+    def accepted(self, obstacles: SlaveValues, damage: SlaveValues) -> AcceptedState:
+        """Return the step that follows: it has the damage of this one, and counts slip from it."""
         origin = SlipOrigin(self.displacement, obstacles)
-        return replace(self, origin=origin, number=self.number + 1)
+        return replace(self, origin=origin, damage=damage, number=self.number + 1)
 
     def guess(self, contact_set: ContactSet) -> ContactGuess:
         """Return the last forces, as those of closed gaps, at the conditions of this rank."""
@@ -96,7 +99,11 @@ def _arrays(step: AcceptedState, nodes: NodeMap, keys: Sequence[str]) -> dict[st
         "displacement": step.displacement.reshape(shape),
         "slip_origin": step.origin.displacement.reshape(shape),
     }
-    for name, values in (("force", step.force), ("obstacle", step.origin.obstacles)):
+    for name, values in (
+        ("force", step.force),
+        ("obstacle", step.origin.obstacles),
+        ("damage", step.damage),
+    ):
         none = np.zeros(0, dtype=np.int64), np.zeros((0, *values.shape))
         parts = [none, *(values.of_contact.get(key, none) for key in keys)]
         size = [rows.size for rows, _ in parts]
@@ -159,6 +166,7 @@ def _read(file: ArrayFile, kind: str, contact_set: ContactSet, own: Numbers) -> 
         of_contacts("force"),
         SlipOrigin(nodal("slip_origin").ravel(), of_contacts("obstacle", gdim)),
         file.integer("number"),
+        of_contacts("damage"),
         [replace(entry, products=int(entry.products)) for entry in finished],
         *load,
         easy=file.integer("easy"),

@@ -448,6 +448,7 @@ class TornSolver:
         # where nothing slips the last bounds may be those of other normal forces
         pressing = friction.given(friction.pressing(multipliers, constraints.layout))
         bound = friction.given(friction.scale) * self.data.own_bound.at(pressing)
+        bound = np.where(np.isinf(self.system.friction.bound), np.inf, bound)
         return TornSolution(
             unknowns.split(recovered.displacement),
             unknowns.split(recovered.torn),

@@ -452,7 +452,8 @@ class Friction:
         Orthonormal, and orthogonal to the normal of the row. Where the same component is prescribed
         at all nodes of a row, each is along or across it, in three dimensions.
     bound : (k,) array
-        Slip bound [N]: the tangential force at which the node slips.
+        Slip bound [N]: the tangential force at which the node slips; infinite, with a compliance,
+        for a spring along the surface.
     slip : (k, gdim - 1) array, optional
         Tangential displacement of the slave relative to the master, in the directions of the
         tangents, from which slip is counted [m]; 0 by default.

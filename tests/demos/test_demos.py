@@ -436,3 +436,27 @@ def test_beam_on_beam(demo):
     """Beam theory for small deflections; the energy is the work of the clamp."""
     assert demo["force"][1] == pytest.approx(demo["linear"][1], rel=0.005)
     assert demo["energies"][-1] == pytest.approx(demo["work"], rel=0.002)
+
+
+@pytest.mark.once
+@also_short("4")
+def test_delaminating_beam(demo):
+    """Beam theory: the load at small openings, the peak, and the growth of the crack."""
+    curve, load, opened = demo["curve"], demo["load"], demo["opened"]
+    slope = curve[1, 1] / curve[1, 0] / (load[0] / opened[0])
+    assert slope == pytest.approx(1.0, abs=0.01)
+    if len(demo["openings"]) > 4:
+        assert demo["peak"][1] == pytest.approx(load[0], rel=0.015)
+        assert curve[-1, 1] == pytest.approx(np.interp(curve[-1, 0], opened, load), rel=0.01)
+        # on the way back the line to the origin
+        back = np.flatnonzero(curve[:, 0] == 3.25)[0]
+        assert curve[back, 1] / 3.25 == pytest.approx(curve[back - 1, 1] / 6.5, rel=1e-6)
+
+
+@pytest.mark.once
+@also_short("2")
+def test_peeled_strip(demo):
+    """What the glue has taken is the work that is not stored, by chords; the force falls."""
+    assert demo["spent"] == pytest.approx(demo["work"] - demo["stored"], rel=0.05, abs=0.05)
+    if len(demo["heights"]) > 2:
+        assert demo["F"][-1] < 0.8 * demo["F"].max()

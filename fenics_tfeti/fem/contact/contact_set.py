@@ -13,6 +13,7 @@ import numpy as np
 from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.bonds import Bonds
 from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     ContactConditions,
     SlaveValues,
@@ -33,6 +34,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
 from fenics_tfeti.fem.contact.conditions.laws import NodalLaw, nodal_law
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
@@ -63,7 +65,7 @@ class FoundContact:
     roles: Roles  # the contact as the user gave it and as it is used
     conditions: ContactConditions
     undeformed: ContactConditions
-    friction: NodalFriction | None = None  # at `conditions`
+    friction: NodalFriction | None = None  # at `conditions`, without bonds
     law: NodalLaw | None = None  # at `conditions`
     on_body: OnBody | None = None  # where the conditions are on a rigid body
     rigid_master: RigidBody | None = None  # the body of the mesh that the master belongs to
@@ -94,6 +96,16 @@ class FoundContact:
         """Gaps of the undeformed surfaces (k,) [m]; infinite at nodes without condition there."""
         place = positions(self.undeformed.slave, self.conditions.slave)
         return np.append(self.undeformed.gap, np.inf)[place]
+
+    @property
+    def along(self) -> NodalFriction | None:
+        """What acts along the surface: friction, and springs of bonds where these have not failed.
+
+        Bonds that do not hold along the surface leave it to friction.
+        """
+        if self.friction is None or self.law is None or self.law.bonds is None:
+            return self.friction
+        return self.friction.bonded(self.law.stiffness_along)
 
     @property
     def body(self) -> RigidBody | None:
@@ -143,6 +155,16 @@ class ContactSet:
     def all_conditions(self) -> list[ContactConditions]:
         """The conditions of each contact."""
         return [found.conditions for found in self.contacts]
+
+    @property
+    def bonded(self) -> list[tuple[FoundContact, Bonds, Vector]]:
+        """The contacts with bonds that can break, these bonds, and their damage (k,)."""
+        return [
+            (found, found.law.bonds, found.law.damage)
+            for found in self.contacts
+            if found.law is not None and found.law.bonds is not None
+            if found.law.damage is not None
+        ]
 
     @property
     def keys(self) -> list[str]:
@@ -220,9 +242,10 @@ class ContactSet:
         """Return friction, with slips of unknowns counted from a start (n,) or zero. Collective."""
         nodes, sites = self.boundary.nodes, []
         for found, own_rows in zip(self.contacts, self.positions, strict=True):
-            if found.friction is not None:
-                moved = self._obstacle_motion(found, found.friction, origin)
-                sites.append((own_rows, found.friction, moved))
+            along = found.along
+            if along is not None:
+                moved = self._obstacle_motion(found, along, origin)
+                sites.append((own_rows, along, moved))
         if not sites:
             return Friction.none(nodes.components)
         displacement = origin.displacement - (0.0 if start is None else start)
@@ -258,14 +281,13 @@ class ContactSet:
             return self
         fixed = prescribed_components(self.boundary.nodes, self.prescribed)
         boundary = self.boundary if uh is None else self.boundary.deformed(uh)
-        contacts = [
-            replace(
-                f,
-                friction=nodal_friction(f.contact, f.conditions, fixed, boundary),
-                law=nodal_law(f.contact, f.conditions),
-            )
-            for f in self.contacts
-        ]
+        contacts = []
+        for found in self.contacts:
+            bond = getattr(found.contact, "law", None)
+            holds = isinstance(bond, Cohesive) and bond.holds_along
+            friction = nodal_friction(found.contact, found.conditions, fixed, boundary, holds)
+            law = nodal_law(found.contact, found.conditions)
+            contacts.append(replace(found, friction=friction, law=law))
         return replace(self, contacts=contacts)
 
     def with_turned_ties(self, uh: Function) -> ContactSet:

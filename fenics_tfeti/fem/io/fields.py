@@ -366,7 +366,30 @@ class FrictionFields(NamedTuple):
     state: Function
 
 
-def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactFields | FrictionFields:
+class BondFields(NamedTuple):
+    """Contact results as fields where a contact has bonds that break, in this order.
+
+    Attributes
+    ----------
+    pressure, force, gap, opening, traction, slip, state : Function
+        As in `FrictionFields`; the pressure is negative where bonds pull.
+    damage : Function
+        "damage": 1 where nothing is bonded or bonds have failed, zero off the surfaces.
+    """
+
+    pressure: Function
+    force: Function
+    gap: Function
+    opening: Function
+    traction: Function
+    slip: Function
+    state: Function
+    damage: Function
+
+
+def contact_fields(
+    space: FunctionSpace, results: Iterable[Any]
+) -> ContactFields | FrictionFields | BondFields:
     """Return the contact results as fields. Collective.
 
     Parameters
@@ -379,8 +402,9 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
 
     Returns
     -------
-    ContactFields or FrictionFields
-        Named tuples of functions; with those of friction where a contact has friction.
+    ContactFields, FrictionFields or BondFields
+        Named tuples of functions; with those of friction where a contact has friction, and with
+        these and damage where one has bonds that break.
 
     Raises
     ------
@@ -402,8 +426,8 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
             )
     scalar = _compat.lagrange_space(space.mesh, 1)
     # some versions of dolfinx compile no form of a field whose name has spaces
-    names = ("contact_pressure", "initial_gap", "opening", "friction_state")
-    pressure, gap, opening, state = (Function(scalar, name=name) for name in names)
+    names = ("contact_pressure", "initial_gap", "opening", "friction_state", "damage")
+    pressure, gap, opening, state, damage = (Function(scalar, name=name) for name in names)
     block = space.dofmap.index_map_bs
     linear = _compat.element_facts(space)[1] == 1
     vector = space if linear else _compat.lagrange_space(space.mesh, 1, block)
@@ -421,6 +445,8 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
         opening.x.array[scalar_dofs] = np.minimum(opening.x.array[scalar_dofs], contact.opening)
         components = block * to_vector[nodes][:, None] + np.arange(block)
         force.x.array[components] -= contact.nodal_normal_force[:, None] * contact.normal
+        if contact.damage is not None:
+            damage.x.array[scalar_dofs] = np.maximum(damage.x.array[scalar_dofs], contact.damage)
         if contact.friction is not None:
             traction.x.array[components] += contact.friction.traction
             slip.x.array[components] += contact.friction.slip
@@ -429,8 +455,11 @@ def contact_fields(space: FunctionSpace, results: Iterable[Any]) -> ContactField
             )
     for field in (gap, opening):
         field.x.array[np.isinf(field.x.array)] = np.nan
-    for field in (pressure, force, gap, opening, traction, slip, state):
+    for field in (pressure, force, gap, opening, traction, slip, state, damage):
         field.x.scatter_forward()
+    of_friction = (traction, slip, state)
+    if any(contact.damage is not None for contact in contacts):
+        return BondFields(pressure, force, gap, opening, *of_friction, damage)
     if any(contact.friction is not None for contact in contacts):
-        return FrictionFields(pressure, force, gap, opening, traction, slip, state)
+        return FrictionFields(pressure, force, gap, opening, *of_friction)
     return ContactFields(pressure, force, gap, opening)

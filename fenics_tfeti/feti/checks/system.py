@@ -554,8 +554,12 @@ def _check_friction(friction: Friction, contacts: ContactRows, gdim: int) -> Non
     _check_range("friction.row", friction.row, contacts.size)
     if np.any(np.diff(friction.row) <= 0):
         raise InputError("friction.row: positions must ascend, each contact row once")
+    # springs along the surface have no bound
+    springs = (friction.bound == np.inf) & (np.asarray(friction.compliance) > 0.0)
     for field in shapes:
-        _check_finite(f"friction.{field}", getattr(friction, field))
+        values = getattr(friction, field)
+        values = np.where(springs, 0.0, values) if field == "bound" else values
+        _check_finite(f"friction.{field}", values)
     for field, unit, meaning in (
         ("bound", " N", "slip bound"),
         ("coefficient", "", "coefficient of friction"),

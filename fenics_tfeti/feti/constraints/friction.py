@@ -25,6 +25,9 @@ from fenics_tfeti.parallel import largest_of_ranks, positions
 from fenics_tfeti.qp import Bounds, Discs, ProductSet, balls
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
+# the bound of springs along the surface [N], which no force reaches
+_UNLIMITED = 1e100
+
 
 @dataclass(frozen=True)
 class SlipBound:
@@ -36,6 +39,10 @@ class SlipBound:
     def at(self, pressing: Vector) -> Vector:
         """Return the bound (k,) at normal multipliers lambda_N."""
         return self.radius + self.slope * pressing
+
+    def limited(self, radius: Vector) -> Vector:
+        """Return bounds (k,), zero for springs that have none: sizes of forces of friction."""
+        return np.where(self.radius < np.sqrt(_UNLIMITED), radius, 0.0)
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,7 @@ class FrictionRows:
         scale = self.given(self.scale)
         parts = (
             np.divide(x, scale, out=np.zeros_like(scale), where=scale > 0.0)
-            for x in (bound, np.where(normal >= 0, coefficient, 0.0))
+            for x in (np.minimum(bound, _UNLIMITED), np.where(normal >= 0, coefficient, 0.0))
         )
         own_bound = SlipBound(*parts)
         sums = SlipBound(*(self.from_given(x, layout) for x in vars(own_bound).values()))

@@ -365,7 +365,7 @@ class Certifier:
         along = balls.directions(forces)
         forwards = np.maximum(np.sum(slip * along, axis=1, keepdims=True), 0.0)
         weight = friction.scale / self._largest_of_contact(
-            friction.contact, friction.scale * radius
+            friction.contact, friction.scale * self.data.bound.limited(radius)
         )
         excess = weight * (np.linalg.norm(forces, axis=1) - radius)
         # of small forces the direction matters little

@@ -224,8 +224,9 @@ class _FixedPoint:
         excess = force - radius
         slipping = ~candidate.recovered.face.sticking
         excess = friction.scale * np.where(slipping, np.abs(excess), np.maximum(excess, 0.0))
-        bounds = friction.scale * radius
-        error, bound, size = (self._dot(x, x) for x in (excess, bounds, friction.scale * force))
+        limited = self.context.data.bound.limited
+        bounds, forces = (friction.scale * limited(x) for x in (radius, force))
+        error, bound, size = (self._dot(x, x) for x in (excess, bounds, forces))
         largest = max(bound, size)
         return float(np.sqrt(error / largest)) if largest > 0.0 else 0.0
 

@@ -6,7 +6,8 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from scenes import Scene, at, dimension, plane, scalar_space, strain
+from columns import FOOT, MESHES, TOP, YOUNG, columns, pulled, shear, sheared
+from scenes import plane, scalar_space
 
 import ufl
 from dolfinx import fem
@@ -24,49 +25,10 @@ from fenics_tfeti import (
     Tresca,
 )
 
-FOOT, TOP, SLAVE, MASTER = 1, 2, 5, 6
-YOUNG = 1000.0
 # mm-N-MPa; a certificate of this size leaves errors of stresses below 1e-9
 OPTIONS = {"rtol": 1e-11, "subdomain_size": 60}
 PATCH = 1e-9
-
-
-def columns(cell: str, upper: int = 4, comm: MPI.Comm = MPI.COMM_SELF, degree: int = 1) -> Scene:
-    """Return two unit blocks without Poisson's ratio, the lower one held at its foot.
-
-    Their meshes match where the upper one has 4 cells an edge.
-    """
-    up = dimension(cell) - 1
-    parts = [
-        ((0.0,) * (up + 1), (1.0,) * (up + 1), (4,) * (up + 1)),
-        ((0.0,) * up + (1.0,), (1.0,) * up + (2.0,), (upper,) * up + (3,)),
-    ]
-    marks = [
-        (FOOT, at(up, 0.0), 1),
-        (TOP, at(up, 2.0), 2),
-        (SLAVE, at(up, 1.0), 2),
-        (MASTER, at(up, 1.0), 1),
-    ]
-    scene = Scene.of_boxes(comm, cell, parts, marks, young=YOUNG, degree=degree)
-    scene.a = scene.young * ufl.inner(strain(scene.u), strain(scene.v)) * scene.dx
-    scene.fix(FOOT)
-    return scene
-
-
 TAGS = columns("quadrilateral").facet_tags
-
-
-def pulled(scene: Scene, displacement: float) -> fem.Function:
-    """Move the top along the columns; return the value, to change it."""
-    moved = fem.Function(scene.V)
-    moved.x.array.reshape(-1, scene.gdim)[:, -1] = displacement
-    scene.fix(TOP, value=moved)
-    return moved
-
-
-MESHES = pytest.mark.parametrize(("cell", "upper"), [
-    ("quadrilateral", 4), ("triangle", 5), ("hexahedron", 4), ("tetrahedron", 5),
-])  # fmt: skip
 
 
 @MESHES
@@ -200,25 +162,6 @@ def test_bond_that_is_weakened_between_solves():
 # -- elastic slip ----------------------------------------------------------------------------------
 
 
-def sheared(cell: str = "quadrilateral", upper: int = 4, **friction) -> tuple[Scene, fem.Function]:
-    """Return a column in two halves with friction, and the displacement of its top, to shear it."""
-    scene = columns(cell, upper)
-    # nothing moves along the column: simple shear
-    every = fem.locate_dofs_geometrical(
-        (scene.V.sub(1), scene.V.sub(1).collapse()[0]), lambda x: np.isfinite(x[0])
-    )
-    none = fem.Function(scene.V.sub(1).collapse()[0])
-    moved = pulled(scene, 0.0)
-    scene.bcs.append(fem.dirichletbc(none, every, scene.V.sub(1)))
-    scene.add_pair(friction=Tresca(**friction), name="joint")
-    return scene, moved
-
-
-def shear(moved: fem.Function, displacement: float) -> None:
-    moved.x.array[:] = 0.0
-    moved.x.array.reshape(-1, 2)[:, 0] = displacement
-
-
 def test_elastic_slip_goes_back_and_the_rest_stays(tmp_path):
     """Load steps out, back and on again, and a checkpoint between them."""
     stiffness, bound, half = 50.0, 2.0, 0.5 * YOUNG
@@ -228,7 +171,7 @@ def test_elastic_slip_goes_back_and_the_rest_stays(tmp_path):
     for step, displacement in enumerate([0.02, 0.1, 0.05, -0.05, 0.0]):
         if step in (0, 3):
             # as a later run goes on
-            scene, moved = sheared(slip_bound=bound, elastic_slip=1.0 / stiffness)
+            scene, moved = sheared(friction=Tresca(bound, elastic_slip=1.0 / stiffness))
             problem = scene.problem(options=OPTIONS)
             if step:
                 assert problem.restore(tmp_path / "state") == step

@@ -8,6 +8,7 @@ import ufl
 from dolfinx import fem
 
 from fenics_tfeti import (
+    Cohesive,
     ContactPair,
     Coulomb,
     Deformed,
@@ -43,13 +44,13 @@ def weighted(weight):
     )
 
 
-def soft_pair(scene, stiffness):
-    return ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", law=SoftContact(stiffness))
+def with_law(scene, law):
+    return ContactPair(scene.facet_tags, SLAVE, MASTER, name="joint", law=law)
 
 
 def soft_and_exact(comm):
     """Pose the beams with a law that is for undeformed surfaces."""
-    posed(contacts=lambda s: [soft_pair(s, 1e9)], gaps=Deformed())(comm)
+    posed(contacts=lambda s: [with_law(s, SoftContact(1e9))], gaps=Deformed())(comm)
 
 
 def radius(scene):
@@ -135,7 +136,15 @@ MISTAKES = table(
     ),
     (
         "soft contact of no stiffness somewhere",
-        posed(contacts=lambda s: [soft_pair(s, lambda x: x[0] - 1.0)]),
+        posed(contacts=lambda s: [with_law(s, SoftContact(lambda x: x[0] - 1.0))]),
+    ),
+    (
+        "bond that stores more than its failure takes",
+        posed(contacts=lambda s: [with_law(s, Cohesive(1e6, 100.0, stiffness=1e9))]),
+    ),
+    (
+        "bond without energy somewhere",
+        posed(contacts=lambda s: [with_law(s, Cohesive(1e6, lambda x: x[0] - 1.0))]),
     ),
     ("soft contact that sticks to the deformed surfaces", soft_and_exact),
     ("weight that is negative", weighted(lambda s: -2 * ufl.pi * radius(s))),

@@ -57,6 +57,16 @@ class NodalFriction:
     obstacle_displacement: Vector  # displacement of the obstacle (k, gdim) [m]; zero for pairs
     compliance: Vector  # elastic slip over force (k,) [m/N]
 
+    def bonded(self, stiffness: Vector) -> NodalFriction:
+        """Return springs along the surface where a stiffness (k,) [N/m] is positive."""
+        held = stiffness > 0.0
+        return replace(
+            self,
+            bound=np.where(held, np.inf, self.bound),
+            coefficient=np.where(held, 0.0, self.coefficient),
+            compliance=np.divide(1.0, stiffness, out=self.compliance.copy(), where=held),
+        )
+
     def elastic_slip(self, force: Vector) -> Vector:
         """Return the elastic slips (k, gdim - 1) of tangential forces."""
         return self.compliance[:, None] * force
@@ -87,16 +97,22 @@ def tangents(normal: Vector, prescribed: Mask) -> Vector:
 
 
 def nodal_friction(
-    contact: Contact, conditions: ContactConditions, fixed: Mask, boundary: MeshBoundary
+    contact: Contact,
+    conditions: ContactConditions,
+    fixed: Mask,
+    boundary: MeshBoundary,
+    has_sites: bool = False,
 ) -> NodalFriction | None:
     """Evaluate the friction of a contact at its conditions; None without friction. Collective.
 
     The law belongs to the slave's surface and is asked at the undeformed nodes; the displacement of
-    an obstacle where they are on the boundary now, for degree 2 in the mean around them.
+    an obstacle where they are on the boundary now, for degree 2 in the mean around them. Where
+    there have to be sites in any case, they may have no friction.
     """
     law, surface = contact.friction, conditions.surface
-    if law is None:
+    if law is None and not has_sites:
         return None
+    law = law or Tresca(0.0)
     is_tresca = isinstance(law, Tresca)
     label = "slip_bound" if is_tresca else "coefficient"
     values = nodal_values(getattr(law, label), label, conditions)

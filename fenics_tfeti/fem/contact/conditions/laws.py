@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fenics_tfeti.errors import InputError
+from fenics_tfeti.fem.contact.conditions.bonds import DEFAULT_STIFFNESS, Bonds
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.friction import nodal_values
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, ElasticBond
+from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, Cohesive, ElasticBond
 from fenics_tfeti.fem.messages import first_wrong
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,30 @@ class NodalLaw:
 
     compliance: Vector  # (k, 2): as `ContactRows.compliance` [m/N]
     adhesion: Vector  # (k,) [N]
+    bonds: Bonds | None = None  # those that can break
+    damage: Vector | None = None  # (k,) of these
+
+    @staticmethod
+    def of_bonds(bonds: Bonds) -> NodalLaw:
+        """Return the law of bonds that nothing has loaded."""
+        k = bonds.area.size
+        law = NodalLaw(np.tile([0.0, np.inf], (k, 1)), np.zeros(k), bonds)
+        return law.damaged(bonds.intact())
+
+    def damaged(self, damage: Vector) -> NodalLaw:
+        """Return the law with a damage (k,) of its bonds, which are rigid where they are closed."""
+        assert self.bonds is not None
+        compliance, stiffness = self.compliance.copy(), self.bonds.stiffness_at(damage)
+        compliance[:, 1] = np.divide(
+            1.0, stiffness, out=np.full_like(stiffness, np.inf), where=stiffness > 0.0
+        )
+        return replace(self, compliance=compliance, damage=damage)
+
+    @property
+    def stiffness_along(self) -> Vector:
+        """The stiffness (k,) of bonds along the surface [N/m]."""
+        assert self.bonds is not None and self.damage is not None
+        return self.bonds.stiffness_along(self.damage)
 
 
 def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | None:
@@ -31,6 +56,8 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
     law = contact.law if isinstance(contact, ContactPair | RigidObstacle) else None
     if law is None:
         return None
+    if isinstance(law, Cohesive):
+        return NodalLaw.of_bonds(_bonds(law, conditions))
     area, comm = conditions.area, conditions.surface.comm
     ((label, value),) = vars(law).items()
     values = nodal_values(value, label, conditions)
@@ -48,3 +75,54 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
         )
     compliance[:, 0] = 1.0 / (values * area)
     return NodalLaw(compliance, np.zeros_like(area))
+
+
+def _bonds(law: Cohesive, conditions: ContactConditions) -> Bonds:
+    """Evaluate the law of bonds at conditions. Collective."""
+    strength = nodal_values(law.strength, "strength", conditions)
+    energy = nodal_values(law.energy, "energy", conditions)
+    bonded = (strength > 0.0) & np.isfinite(conditions.gap)
+    strength = np.where(bonded, strength, 0.0)
+    _check(conditions, bonded & ~(energy > 0.0), "has no energy", "Give it one")
+    shear_strength, shear_energy = strength, energy
+    if law.shear_strength is not None:
+        shear_strength = nodal_values(law.shear_strength, "shear_strength", conditions)
+        shear_strength = np.where(bonded, shear_strength, 0.0)
+    if law.shear_energy is not None:
+        shear_energy = nodal_values(law.shear_energy, "shear_energy", conditions)
+    along = shear_strength > 0.0
+    _check(conditions, along & ~(shear_energy > 0.0), "has no shear_energy", "Give it one")
+    if law.stiffness is None:
+        # that of the mode with the larger one: bonds have one stiffness
+        across, of_shear = (
+            np.divide(s**2, g, out=np.zeros_like(s), where=s > 0.0)
+            for s, g in ((strength, energy), (shear_strength, shear_energy))
+        )
+        stiffness = DEFAULT_STIFFNESS * np.maximum(across, of_shear)
+    else:
+        stiffness = nodal_values(law.stiffness, "stiffness", conditions)
+        _check(conditions, bonded & ~(stiffness > 0.0), "has no stiffness", "Leave it out")
+    _check(
+        conditions,
+        bonded & ~(2.0 * stiffness * energy > strength**2),
+        "stores more up to its strength than the energy of its failure",
+        "The stiffness has to be larger than strength^2 / (2 energy): leave it out",
+    )
+    _check(
+        conditions,
+        along & ~(2.0 * stiffness * shear_energy > shear_strength**2),
+        "stores more up to its shear strength than the shear energy of its failure",
+        "The stiffness has to be larger than shear_strength^2 / (2 shear_energy)",
+    )
+    exponent = np.full_like(strength, law.exponent)
+    data = (strength, energy, shear_strength, shear_energy)
+    return Bonds(conditions.area, stiffness, *data, exponent)
+
+
+def _check(conditions: ContactConditions, wrong: Mask, what: str, remedy: str) -> None:
+    """Check data of bonds at nodes of a strength. Collective."""
+    if bad := first_wrong(conditions.surface.comm, wrong, conditions.coordinates):
+        raise InputError(
+            f"{conditions.name}: the bond {what} at {bad.number} nodes, the first at {bad.place}. "
+            f"{remedy}, or set the strength to zero there: nothing is bonded then"
+        )

@@ -7,6 +7,7 @@ from typing import Any, TypeAlias
 
 from fenics_tfeti.errors import wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import NodalValue, check_nodal_value
+from fenics_tfeti.fem.user_data import check_positive, is_number
 
 
 @dataclass(frozen=True)
@@ -91,11 +92,77 @@ class ElasticBond:
         check_nodal_value(self.stiffness, "ElasticBond: the stiffness")
 
 
-InterfaceLaw: TypeAlias = SoftContact | Adhesive | ElasticBond
+@dataclass(frozen=True)
+class Cohesive:
+    """A bond that breaks: the traction rises with the jump, then falls, and contact is left.
+
+    The jump is the opening of the surfaces and their slip along each other. Up to the strength the
+    traction is the stiffness times the jump; then damage takes it down to
+    zero along a line, over which the energy is dissipated (bilinear law). Damage never heals:
+    unloading is along a line to zero. Closed surfaces press as in hard contact, whatever the
+    damage; what has failed is contact, with the friction of the contact.
+
+    Damage is that of the load step: `ContactProblem.advance` accepts it. Where it grows, a solve
+    walks by steps of equal dissipated energy to the present loads, and finds the first equilibrium
+    there, whatever the loads do on the way; `ContactReport.damage` tells it.
+
+    Attributes
+    ----------
+    strength : float, callable or dolfinx.fem.Function
+        Largest traction [Pa]: a number, a function of the undeformed nodes x (3, n) [m] of the
+        slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on the mesh.
+        Where it is zero nothing is bonded, and there is contact.
+    energy : float, callable or dolfinx.fem.Function
+        Energy that the failure of an area takes [J/m^2], the area below the line of the traction.
+    stiffness : float, callable or dolfinx.fem.Function, optional
+        Traction over opening, and over slip, without damage [Pa/m]; by default 10 strength^2 /
+        energy, the larger one of opening and shear: a tenth of the opening at failure is elastic.
+        As closed surfaces are hard in any case, it does not have to be large; stiffer bonds take
+        more solves. Openings are gaps: bonds are unstrained where the gap is zero.
+    shear_strength, shear_energy : float, callable or dolfinx.fem.Function, optional
+        Strength [Pa] and energy [J/m^2] where the surfaces slide along each other, by default those
+        of opening. A bond of no shear strength leaves its surfaces free to slide, or to friction,
+        as on a plane of symmetry.
+    exponent : float
+        Of the law of Benzeggagh and Kenane, by which energies and squares of strengths go over from
+        opening to shear with the share of shear, the square of its part of the jump.
+
+    Examples
+    --------
+    >>> Cohesive(strength=57e6, energy=280.0).exponent
+    2.0
+    """
+
+    strength: NodalValue
+    energy: NodalValue
+    stiffness: NodalValue | None = None
+    shear_strength: NodalValue | None = None
+    shear_energy: NodalValue | None = None
+    exponent: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("strength", "shear_strength"):
+            if (value := getattr(self, name)) is not None:
+                check_nodal_value(value, f"Cohesive: the {name}")
+        for name in ("energy", "stiffness", "shear_energy"):
+            if (value := getattr(self, name)) is not None or name == "energy":
+                check_nodal_value(value, f"Cohesive: the {name}", positive=True)
+        check_positive(self.exponent, "Cohesive: the exponent", "no unit")
+
+    @property
+    def holds_along(self) -> bool:
+        """Whether there may be a shear strength."""
+        return not (is_number(self.shear_strength) and self.shear_strength == 0.0)
+
+
+InterfaceLaw: TypeAlias = SoftContact | Adhesive | ElasticBond | Cohesive
 
 
 def check_law(law: Any, label: str) -> None:
     """Check that there is a law of the interface, or none."""
     if law is not None and not isinstance(law, InterfaceLaw):
-        expected = "SoftContact(stiffness), Adhesive(traction), ElasticBond(stiffness) or None"
+        expected = (
+            "SoftContact(stiffness), Adhesive(traction), ElasticBond(stiffness), "
+            "Cohesive(strength, energy) or None"
+        )
         raise wrong_type(f"{label}: law", law, expected)

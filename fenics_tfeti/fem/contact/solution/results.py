@@ -201,6 +201,9 @@ class ContactResult(_SurfaceResult):
         their neighbours that are covered better.
     friction : FrictionResult or None
         Friction forces and slips; None for a contact without friction.
+    damage : (k,) array or None
+        Of bonds that can break: from 0 to 1, where nothing is left, and where nothing was bonded;
+        None of other contacts.
     on_master : bool
         Whether the nodes are those of the master, because ``roles="auto"`` has exchanged slave and
         master. Normals, forces and slips are those of the slave there.
@@ -229,6 +232,7 @@ class ContactResult(_SurfaceResult):
     area: Vector
     coverage: Vector
     friction: FrictionResult | None = None
+    damage: Vector | None = None
     on_master: bool = False
     comm: MPI.Intracomm = field(default_factory=lambda: MPI.COMM_SELF, repr=False)
 

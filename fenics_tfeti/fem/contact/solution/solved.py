@@ -129,16 +129,17 @@ class SolvedContacts:
         """
         contact_set, keys, parts = self.contact_set, list[str](), list[tuple[Numbers, Vector]]()
         for found, result in zip(contact_set.contacts, self.contacts, strict=True):
-            if found.friction is None or result.friction is None:
+            along, on = found.along, found.on_body
+            if along is None or result.friction is None:
                 continue
-            on, moved = found.on_body, found.friction.obstacle_displacement
+            moved = along.obstacle_displacement
             if on is not None:
                 before = contact_set.bodies.frame_of(found.body)
                 motion = self.bodies.frame_of(found.body).motion - before.motion
                 step = before.displacements(motion, on.places)
                 moved = on.slave - before.undeformed_places(on.slave) + step
             # forces on the slave are against its slips
-            moved = moved - found.friction.elastic_slip(result.friction.force)
+            moved = moved - along.elastic_slip(result.friction.force)
             keys.append(found.history)
             parts.append((contact_set.dofs(found.conditions.slave), moved))
         return SlaveValues.of(keys, parts, (contact_set.boundary.nodes.components,))
@@ -147,6 +148,12 @@ class SolvedContacts:
         """Return the normal forces (k,) [N]."""
         parts = ((result.dofs, result.nodal_normal_force) for result in self.contacts)
         return SlaveValues.of([found.history for found in self.contact_set.contacts], parts)
+
+    def damage(self) -> SlaveValues:
+        """Return the damage (k,) of bonds that can break."""
+        bonded = self.contact_set.bonded
+        parts = ((self.contact_set.dofs(f.conditions.slave), damage) for f, _, damage in bonded)
+        return SlaveValues.of([f.history for f, *_ in bonded], parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
@@ -168,7 +175,7 @@ def _contact_result(
     rows: Numbers,
     sites: Numbers,
 ) -> ContactResult:
-    conditions, friction = found.conditions, found.friction
+    conditions, friction = found.conditions, found.along
     if deformed is not None:
         # the solution has displaced the surfaces of its conditions
         conditions = conditions.with_areas_of(deformed)
@@ -198,6 +205,7 @@ def _contact_result(
         friction=(
             None if friction is None else _friction_result(friction, solution, sites, conditions)
         ),
+        damage=None if found.law is None else found.law.damage,
         comm=contact_set.boundary.nodes.comm,
     )
 
