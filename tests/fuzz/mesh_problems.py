@@ -177,11 +177,13 @@ def draw_mesh(seed: int) -> MeshProblem:
     problem.options = {
         "rtol": float(10.0 ** rng.uniform(-8, -2)) if rng.random() < 0.7 else 1e-6,
         "subdomain_size": int(rng.choice([30, 60, 100, 3000])),
-        "partitioner": str(rng.choice(["auto", "scotch", "slabs"])),
+        "partitioner": str(rng.choice(["auto", "scotch", "scotch"])),
         "method": str(rng.choice(["active_set"] * 4 + ["smalbe"])),
         "preconditioner": str(rng.choice(["lumped", "lumped", "dirichlet", "none"])),
         "scaling": str(rng.choice(["stiffness"] * 4 + ["multiplicity"])),
     }
+    if rng.random() < 0.3:
+        problem.options["partitioner"] = "slabs"
     problem.story = [
         f"{count} boxes of {cell}, {n} elements an edge, edges {edges}",
         f"strain {strain:.1e}, Young's moduli {young}, jump {problem.jump:.1e}",
