@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -97,7 +98,7 @@ def form_and_forces(
     return J, given
 
 
-class Derivatives:
+class Derivatives(ABC):
     """The derivatives of a functional by data, of a solution and its adjoint z.
 
     Attributes
@@ -142,19 +143,20 @@ class Derivatives:
         self._state.check_current()
         return self._reactions()
 
+    @abstractmethod
     def _reactions(self) -> Vector:
-        raise NotImplementedError
+        """Return the derivatives (n,) by prescribed displacements, at this rank's unknowns."""
 
+    @abstractmethod
     def _by_bounds(self) -> Vector:
         """Return the derivatives (sites,) by friction forces of sites that slip, along them."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _of_rows(self, found: ContactSet) -> Vector:
         """Return what J changes by with each row of other conditions, of contacts, then of ties.
 
         Collective.
         """
-        raise NotImplementedError
 
     def by_gap(self, name: str | int) -> Vector:
         """Return the derivatives of J by gaps at the nodes of ``results[name]``. Collective.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -44,7 +45,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
-class DifferentiatedState:
+class DifferentiatedState(ABC):
     """What derivatives of all solved problems need."""
 
     torn: TornProblem
@@ -52,19 +53,19 @@ class DifferentiatedState:
     is_current: Callable[[], bool]  # whether the problem is as it was solved, on all ranks
 
     @property
+    @abstractmethod
     def contact_set(self) -> ContactSet:
         """The conditions of contacts and ties."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def friction(self) -> Friction:
         """Friction at its sites."""
-        raise NotImplementedError
 
     @property
+    @abstractmethod
     def normal_force(self) -> Vector:
         """The normal forces (rows,) [N]."""
-        raise NotImplementedError
 
     @property
     def areas(self) -> Vector:
