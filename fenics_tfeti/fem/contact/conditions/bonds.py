@@ -12,8 +12,8 @@ opening and pure shear, the law of Benzeggagh and Kenane has
 
     d0^2 = (t^2 + (s^2 - t^2) B^n) / K^2,    d0 df = 2 (G + (H - G) B^n) / K
 
-(Turon, Camanho, Costa, Davila, Mech. Mater. 38 (2006) 1072-1089). What is kept is the damage: the
-openings d0 and df change with B.
+(Turon, Camanho, Costa, Davila, Mechanics of Materials 38 (2006) 1072-1089). What is kept is the
+damage: the openings d0 and df change with B.
 """
 
 from __future__ import annotations
