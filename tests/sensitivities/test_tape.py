@@ -70,10 +70,13 @@ KINDS = {
 
 @pytest.fixture(autouse=True)
 def working_tape():
+    # annotation goes on for other tests of the process as it was
     with pyadjoint.set_working_tape() as own:
+        is_on = pyadjoint.annotate_tape()
         pyadjoint.continue_annotation()
         yield own
-        pyadjoint.pause_annotation()
+        if not is_on:
+            pyadjoint.pause_annotation()
 
 
 def check(J, m, size=0.01):
