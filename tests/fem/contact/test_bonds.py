@@ -141,6 +141,16 @@ def test_loads_beyond_what_bonds_carry():
     assert problem.results["bond"].pressure.min() == pytest.approx(-carried[-1], rel=1e-6)
 
 
+def test_bodies_that_bonds_alone_hold():
+    """In space: what they were seen to carry is found by steps that leave bodies free."""
+    scene = columns("tetrahedron", 5)
+    scene.add_load(TOP, (0.0, 0.0, 1.1 * STRENGTH))
+    scene.add_pair(law=Cohesive(STRENGTH, ENERGY), name="bond")
+    problem = scene.problem(options={"rtol": 1e-9})
+    with pytest.raises(DamageNotFound, match="the bonds break before .* carry is 0.91"):
+        problem.solve()
+
+
 def test_crack_and_contact_where_nothing_is_bonded():
     """A strength that vanishes on a part of the surface: contact there, pressed and open."""
     scene, moved = bonded(strength=lambda x: np.where(x[0] > 0.4, STRENGTH, 0.0), stiffness=None)

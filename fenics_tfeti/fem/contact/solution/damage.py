@@ -114,12 +114,14 @@ class _Walk:
     end: _Equilibrium | None = None  # beyond the present loads
     to_end: float = 0.0  # energy from here to there
     beyond: int = 0  # how many ends there were since the last equilibrium
+    failure: UnresistedMotion | NotConverged | None = None  # of the last solve
 
     def __post_init__(self) -> None:
         self.spent, self.last = np.zeros_like(self.before), self.before
 
     def run(self) -> Damaged:
-        jump = self._jumps(self.before)
+        jump = self.solve(self.before)
+        self.passes += 1
         law = self.bonds.at(jump)
         wanted = self._wanted(law, self.before, 1.0)
         self.now = _Equilibrium(self.before, self.before, jump, 1.0, 1, 0)
@@ -143,7 +145,8 @@ class _Walk:
                 if found is not None:
                     return self._ended(found)
                 energy *= 0.5
-                if energy < _SHORTEST * longest:
+                breaks = is_rest and isinstance(self.failure, UnresistedMotion)
+                if breaks or energy < _SHORTEST * longest:
                     break
                 continue
             landed = self._landed(found, energy)
@@ -155,10 +158,7 @@ class _Walk:
             self._accept(found, length)
             if found.passes <= _EASY:
                 energy = min(2.0 * energy, longest)
-        raise DamageNotFound(
-            f"the damage of bonds is not found from {self.now.factor:.4g} of the loads on: the "
-            f"passes of even short steps have not ended. {self._carried()}"
-        )
+        raise self._not_found() from self.failure
 
     # -- steps -------------------------------------------------------------------------------------
 
@@ -228,11 +228,13 @@ class _Walk:
     ) -> _Equilibrium | None:
         """Return the equilibrium with an energy, or at the present loads, from a damage on.
 
-        None at the limit of passes.
+        None at the limit of passes, and where a damage leaves no solution.
         """
         damage, before, first = guess, None, 0.0
         for number in range(1, most + 1):
             jump = self._jumps(damage)
+            if jump is None:
+                return None
             law = self.bonds.at(jump)
             factor = 1.0 if energy is None else self._factor(law, start, energy)
             if factor is None:
@@ -260,20 +262,16 @@ class _Walk:
             damage = np.clip(law.damage(following), start, 1.0)
         return None
 
-    def _jumps(self, damage: Vector) -> Vector:
+    def _jumps(self, damage: Vector) -> Vector | None:
+        """Return the jumps; None where a damage leaves no solution."""
         self.passes += 1
         try:
-            return self.solve(damage)
-        except UnresistedMotion as error:
-            if np.array_equal(damage, self.before):
-                raise
-            raise DamageNotFound(
-                f"the bonds break before the loads are reached. {self._carried()}"
-            ) from error
-        except NotConverged as error:
-            raise DamageNotFound(
-                f"a solve with a fixed damage of the bonds has failed: {error}"
-            ) from error
+            jump = self.solve(damage)
+        except (UnresistedMotion, NotConverged) as error:
+            self.failure = error
+            return None
+        self.failure = None
+        return jump
 
     def _factor(self, law: BondsAtMode, start: Vector, energy: float) -> float | None:
         """Return the factor at which the law takes an energy more; None if it never does."""
@@ -342,12 +340,21 @@ class _Walk:
         all_of_it = float(np.sum((bonds.area * bonds.energy)[bonded]))
         return _ROWS * all_of_it / np.count_nonzero(bonded) ** (1.0 / self.dimension)
 
-    def _carried(self) -> str:
+    def _not_found(self) -> DamageNotFound:
+        """Return the error at the shortest steps."""
+        what = (
+            f"the damage of bonds is not found from {self.now.factor:.4g} of the loads on: the "
+            "passes of even short steps have not ended"
+        )
+        if isinstance(self.failure, UnresistedMotion):
+            what = "the bonds break before the loads are reached"
+        elif self.failure is not None:
+            what += f". A solve with a fixed damage has failed: {self.failure}"
         most = max(self.onset, *(point.factor for point in self.path), 0.0)
-        return (
-            f"Of these loads, the largest share that they were seen to carry is {most:.4g}. "
-            "Prescribe displacements in place of forces, take smaller load steps, refine the mesh "
-            "or make the bonds' stiffness smaller"
+        return DamageNotFound(
+            f"{what}. Of these loads, the largest share that they were seen to carry is "
+            f"{most:.4g}. Prescribe displacements in place of forces, take smaller load steps, "
+            "refine the mesh or make the bonds' stiffness smaller"
         )
 
 
