@@ -21,13 +21,20 @@ from fenics_tfeti.fem.contact.contact_set import ContactSet
 from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Deformed
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
-from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, ElasticBond, SoftContact
+from fenics_tfeti.fem.contact.descriptions.laws import (
+    Adhesive,
+    ElasticBond,
+    RoughContact,
+    SoftContact,
+)
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.bonded import BondedContacts
 from fenics_tfeti.fem.contact.solution.damage import damaged
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
+from fenics_tfeti.fem.contact.solution.rough import solve_rough
+from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, expected_contact
 from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellStrains, large_gradients
@@ -447,7 +454,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         """Check that derivatives know the laws of interfaces."""
         for number, contact in enumerate(self.contacts):
             law = getattr(contact, "law", None)
-            if not isinstance(law, SoftContact | Adhesive | ElasticBond | None):
+            if not isinstance(law, SoftContact | RoughContact | Adhesive | ElasticBond | None):
                 raise InputError(
                     f"{contact_name(contact, number)}: derivatives know no law "
                     f"{type(law).__name__}. Leave it out, or difference solves"
@@ -510,9 +517,32 @@ class ContactProblem(SteppedProblem[ContactReport]):
             bonded = BondedContacts.of(contact_set, self._accepted.damage)
             if bonded is not None:
                 return self._solve_bonded(bonded, solved, monitor)
+            if contact_set.rough:
+                return self._solve_rough(contact_set, solved, monitor)
             self._solve_linearised(contact_set, solved, monitor)
             return self.u
         return self._solve_exactly(self.gaps, solved, monitor, checkpoint)
+
+    def _solve_rough(
+        self,
+        contact_set: ContactSet,
+        coarse: list[SolvedContact] | None,
+        monitor: MonitorFunction | None,
+    ) -> Function:
+        """Solve with the laws of rough contacts; an error leaves all as it was."""
+        products = list[int]()
+
+        def solve(linear: ContactSet) -> SolvedContacts:
+            start = None if products else coarse
+            self._solve_linearised(linear, start, monitor)
+            products.append(self.report.products["total"])
+            assert self._solved is not None
+            return self._solved
+
+        with self._as_before_errors():
+            solve_rough(contact_set, contact_set.at_conditions(self._accepted.force), solve)
+        self._report = replace(self.report, rough_products=tuple(products))
+        return self.u
 
     def _solve_bonded(
         self,

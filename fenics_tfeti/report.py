@@ -107,6 +107,9 @@ class ContactReport(Report):
         The error of the mesh, once `ContactProblem.mesh_error` was called.
     damage : DamageEntry or None
         How the damage of bonds has grown in the solve; None of problems without such bonds.
+    rough_products : tuple of int
+        The products of each solve with the laws of rough contacts; other figures of the report are
+        those of the last one. Empty of problems without such contacts.
     per_length : bool
         Whether forces, moments and energies are those of a unit of length: in two dimensions, if
         the problem has no `measure_weight`.
@@ -127,6 +130,7 @@ class ContactReport(Report):
     largest_strain: float = 0.0
     mesh_error: MeshErrorEntry | None = None
     damage: DamageEntry | None = None
+    rough_products: tuple[int, ...] = ()
 
     @classmethod
     def of(cls, report: Report, results: Results, options: Mapping[str, Any], **more: Any) -> Self:
@@ -152,6 +156,9 @@ class ContactReport(Report):
         lines = [*to_check, *table, *roles, self.summary(self.units.force), largest]
         if self.damage is not None:
             lines.append(f"{'damage':>16}  {self.damage}")
+        if self.rough_products:
+            solves, products = len(self.rough_products), sum(self.rough_products)
+            lines.append(f"{'rough contact':>16}  {solves} solves, {products} products in all")
         if self.mesh_error is not None:
             is_larger = self.mesh_error.error >= self.certificate.error
             mend = "the mesh is larger: refine it" if is_larger else "the iterations is larger"

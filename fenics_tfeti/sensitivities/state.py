@@ -135,6 +135,11 @@ class DifferentiatedState(ABC):
                 (t.conditions.is_mortar, t.conditions.rows.size) for t in contact_set.ties
             ]
 
+        if found.rough:
+            raise InputError(
+                f"{found.rough[0][1].conditions.name}: derivatives by nodes and obstacles know no "
+                "law RoughContact. Difference solves"
+            )
         if any_rank(self.torn.nodes.comm, [kinds(found) != kinds(self.torn.undeformed)]):
             raise InputError(
                 "the conditions of contacts or ties are others after the change, so J jumps there: "

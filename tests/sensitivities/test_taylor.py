@@ -22,7 +22,16 @@ from sensitivity_scenes import (
     tied_stack,
 )
 
-from fenics_tfeti import Adhesive, Coulomb, ElasticBond, RigidBody, SoftContact, Sphere, Tresca
+from fenics_tfeti import (
+    Adhesive,
+    Coulomb,
+    ElasticBond,
+    RigidBody,
+    RoughContact,
+    SoftContact,
+    Sphere,
+    Tresca,
+)
 
 KINDS = {
     "node pairs": blocks,
@@ -47,6 +56,9 @@ KINDS = {
     ),
     "law, soft": partial(blocks, n=4, m=5, friction=Coulomb(0.2), law=SoftContact(0.3)),
     "law, node pairs": partial(blocks, law=SoftContact(0.3)),
+    "law, rough": partial(
+        blocks, n=4, m=5, law=RoughContact(lambda d: 50 * d.clip(0) ** 2, lambda d: 100 * d.clip(0))
+    ),
     "law, bond": partial(blocks, n=4, m=5, law=ElasticBond(0.3)),
     "law, adhesive": partial(blocks, n=4, m=5, law=Adhesive(2e-3)),
     "law, obstacle": partial(block_on_roller, law=SoftContact(0.3)),

@@ -34,7 +34,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
 from fenics_tfeti.fem.contact.conditions.laws import NodalLaw, nodal_law
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import Cohesive
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
@@ -167,6 +167,13 @@ class ContactSet:
         ]
 
     @property
+    def rough(self) -> list[tuple[int, FoundContact, RoughContact]]:
+        """The numbers among `contacts` of those with a law of the approach, and this law."""
+        laws = [getattr(found.contact, "law", None) for found in self.contacts]
+        triples = zip(range(len(laws)), self.contacts, laws, strict=True)
+        return [(n, found, law) for n, found, law in triples if isinstance(law, RoughContact)]
+
+    @property
     def keys(self) -> list[str]:
         """The key of each contact."""
         return [found.key for found in self.contacts]
@@ -217,11 +224,14 @@ class ContactSet:
     def _with_laws(self, rows: ContactRows) -> ContactRows:
         """Return the conditions with the springs and the adhesion of laws."""
         compliance, adhesion = np.array(rows.compliance), np.array(rows.adhesion)
+        gap = rows.gap.copy()
         for found, own_rows in zip(self.contacts, self.positions, strict=True):
             if found.law is not None:
                 compliance[own_rows] = found.law.compliance
                 adhesion[own_rows] = found.law.adhesion
-        return replace(rows, compliance=compliance, adhesion=adhesion)
+                if found.law.touching is not None:
+                    gap[own_rows] -= found.law.touching * rows.length[own_rows]
+        return replace(rows, gap=gap, compliance=compliance, adhesion=adhesion)
 
     @property
     def positions(self) -> list[Numbers]:

@@ -6,14 +6,16 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from columns import FOOT, MESHES, TOP, YOUNG, columns, pulled, shear, sheared
+from columns import FOOT, MASTER, MESHES, SLAVE, TOP, YOUNG, columns, pulled, shear, sheared
 from scenes import plane, scalar_space
+from scipy.optimize import brentq
 
 import ufl
 from dolfinx import fem
 
 from fenics_tfeti import (
     Adhesive,
+    Cohesive,
     ContactPair,
     Coulomb,
     Deformed,
@@ -21,9 +23,12 @@ from fenics_tfeti import (
     InputError,
     NonlinearContactProblem,
     RigidObstacle,
+    RoughContact,
     SoftContact,
+    TiedPair,
     Tresca,
 )
+from fenics_tfeti.fem.contact.descriptions.arguments import as_contacts
 
 # mm-N-MPa; a certificate of this size leaves errors of stresses below 1e-9
 OPTIONS = {"rtol": 1e-11, "subdomain_size": 60}
@@ -207,27 +212,119 @@ def test_elastic_slip_of_coulombs_law():
     assert friction.sticking.any()
 
 
+# -- rough surfaces --------------------------------------------------------------------------------
+
+SQUARE = RoughContact(lambda d: 1e5 * d.clip(0) ** 2, lambda d: 2e5 * d.clip(0))
+ROUGH = {
+    "square": SQUARE,
+    "power": RoughContact(lambda d: 1e4 * d.clip(0) ** 1.5, lambda d: 1.5e4 * d.clip(0) ** 0.5),
+    "exponential": RoughContact(lambda d: 2.0 * np.exp(d / 2e-3), lambda d: 1e3 * np.exp(d / 2e-3)),
+    "linear": RoughContact(lambda d: 500.0 * d.clip(0), lambda d: 500.0 * (d > 0.0)),
+}
+
+
+def in_series(law: RoughContact, moved: float) -> float:
+    """Return the pressure of columns whose top has moved down."""
+    return brentq(
+        lambda p: p - float(law.pressure(np.array([moved - 2.0 * p / YOUNG]))[0]), 0.0, 1e4
+    )
+
+
+@MESHES
+@pytest.mark.parametrize("law", ROUGH)
+def test_rough_contact(cell, upper, law):
+    """Two columns and the law in series: pressed more, less, apart and pressed again."""
+    scene = columns(cell, upper)
+    moved = pulled(scene, 0.0)
+    scene.add_pair(law=ROUGH[law], name="rough")
+    problem = scene.problem(options={"rtol": 1e-9, "subdomain_size": 60})
+    for displacement in (0.01, 0.02, 0.001, -0.003, 0.01):
+        moved.x.array.reshape(-1, scene.gdim)[:, -1] = -displacement
+        problem.solve()
+        rough, pressure = problem.results["rough"], in_series(ROUGH[law], displacement)
+        np.testing.assert_allclose(rough.pressure, pressure, rtol=1e-6, atol=1e-12)
+        assert 1 <= len(problem.report.rough_products) <= 8
+        followed = ROUGH[law].pressure(-rough.opening)
+        np.testing.assert_allclose(rough.pressure, followed, rtol=1e-6, atol=1e-12)
+        problem.advance()
+
+
+def test_a_body_that_only_its_weight_holds_on_a_rough_floor():
+    """The pressure is the weight over the area; sideways friction carries a part of it."""
+    scene = columns("quadrilateral")
+    scene.bcs = []
+    scene.add_load(TOP, (-0.2, -2.0))
+    scene.add_obstacle(FOOT, plane(1, 2), law=SQUARE, friction=Coulomb(0.3), name="ground")
+    scene.contacts.append(TiedPair(scene.facet_tags, SLAVE, MASTER))
+    problem = scene.problem(options={"rtol": 1e-8})
+    problem.solve()
+    ground = problem.results["ground"]
+    np.testing.assert_allclose(ground.entry.force, (0.2, 2.0), rtol=1e-7)
+    np.testing.assert_allclose(ground.pressure, SQUARE.pressure(-ground.opening), rtol=1e-5)
+
+
+def test_rough_surfaces_make_hertz_contact_wider():
+    """As the stiffness grows the pressures become those of hard contact."""
+    peaks = []
+    for stiffness in (1e3, 1e5, 1e9, None):
+        law = stiffness and RoughContact(
+            lambda d, c=stiffness: c * d.clip(0) ** 2, lambda d, c=stiffness: 2 * c * d.clip(0)
+        )
+        scene = columns("quadrilateral", 5)
+        pulled(scene, -0.01)
+        scene.add_pair(
+            law=law or None, initial_gap=lambda x: 0.02 * (x[0] - 0.5) ** 2, name="rough"
+        )
+        problem = scene.problem(options={"rtol": 1e-9})
+        problem.solve()
+        peaks.append(problem.results["rough"].pressure.max())
+    assert peaks[0] < peaks[1] < peaks[2]
+    assert peaks[2] == pytest.approx(peaks[3], rel=1e-2)
+
+
+@pytest.mark.parametrize(("law", "message"), [
+    (RoughContact(lambda d: 1.0 + d.clip(0), np.ones_like), "has to grow from zero where surfaces"),
+    (RoughContact(lambda d: d.clip(0, 1e-9), np.ones_like), "at no larger one"),
+    (RoughContact(lambda d: 1e5 * d.clip(0), np.zeros_like), "stiffness .* is not positive at 5"),
+    (RoughContact(lambda d: d.wrong, np.ones_like), "rough: the pressure of RoughContact failed"),
+    (RoughContact(lambda d: 1e3 * d, np.ones_like), "is negative, NaN or infinite at"),
+])  # fmt: skip
+def test_wrong_laws_of_the_approach(law, message):
+    scene = columns("quadrilateral")
+    pulled(scene, -0.01)
+    scene.add_pair(law=law, name="rough")
+    problem = scene.problem()
+    with pytest.raises(InputError, match=message):
+        problem.solve()
+    assert not problem.u.x.array.any()
+
+
 # -- ranks, messages -------------------------------------------------------------------------------
 
 
 @pytest.mark.ranks(2, 3)
-@pytest.mark.parametrize("law", [SoftContact(300.0), Adhesive(3.0), ElasticBond(300.0)])
+@pytest.mark.parametrize("law", [SoftContact(300.0), SQUARE, Adhesive(3.0), ElasticBond(300.0)])
 @pytest.mark.parametrize("upper", [4, 5])
 def test_laws_on_several_ranks(law, upper):
     scene = columns("quadrilateral", upper, MPI.COMM_WORLD)
-    soft = isinstance(law, SoftContact)
+    soft = isinstance(law, SoftContact | RoughContact)
     pulled(scene, -0.01 if soft else 0.01)
     scene.add_pair(law=law)
     problem = scene.problem(options=OPTIONS)
     problem.solve()
     series = 0.01 / (2.0 / YOUNG + 1.0 / 300.0)
     pressure = -3.0 if isinstance(law, Adhesive) else series if soft else -series
-    np.testing.assert_allclose(problem.results[0].pressure, pressure, rtol=PATCH)
+    rtol = PATCH
+    if isinstance(law, RoughContact):
+        pressure, rtol = in_series(law, 0.01), 1e-6
+    np.testing.assert_allclose(problem.results[0].pressure, pressure, rtol=rtol)
 
 
 @pytest.mark.parametrize(("wrong", "message"), [
     (lambda: SoftContact(0.0), "SoftContact: the stiffness is 0.0; a positive number"),
     (lambda: Adhesive(-1.0), "Adhesive: the traction is -1.0; a finite number, at least 0"),
+    (lambda: RoughContact(1e9, 1e9), "RoughContact: the pressure is 1000000000.0; a function of a"),
+    (lambda: as_contacts([bonded(SQUARE), bonded(Cohesive(1.0, 1.0))]), "need solves of their own"),
     (lambda: Coulomb(0.3, elastic_slip=-1.0), "Coulomb: the elastic_slip is -1.0"),
     (lambda: ContactPair(TAGS, 1, 2, law=Tresca(1.0)), "law is a Tresca; SoftContact"),
     (lambda: RigidObstacle(TAGS, 1, plane(1, 2), law="soft"), "law is a str; SoftContact"),
@@ -235,6 +332,10 @@ def test_laws_on_several_ranks(law, upper):
 def test_wrong_laws_are_named(wrong, message):
     with pytest.raises(InputError, match=message):
         wrong()
+
+
+def bonded(law):
+    return ContactPair(TAGS, 1, 2, law=law)
 
 
 LAWS = [{"law": Adhesive(1.0)}, {"friction": Tresca(1.0, elastic_slip=1.0)}]

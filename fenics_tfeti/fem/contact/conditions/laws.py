@@ -11,7 +11,7 @@ from fenics_tfeti.fem.contact.conditions.bonds import DEFAULT_STIFFNESS, Bonds
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.friction import nodal_values
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, Cohesive, ElasticBond
+from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, Cohesive, ElasticBond, RoughContact
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.typing import Mask, Vector
 
@@ -22,14 +22,21 @@ class NodalLaw:
 
     compliance: Vector  # (k, 2): as `ContactRows.compliance` [m/N]
     adhesion: Vector  # (k,) [N]
+    touching: Vector | None = None  # gaps (k,) from which on rows press, by default 0 [m]
     bonds: Bonds | None = None  # those that can break
     damage: Vector | None = None  # (k,) of these
+
+    @staticmethod
+    def soft(stiffness: Vector, touching: Vector | None = None) -> NodalLaw:
+        """Return the law of springs (k,) that press [N/m]."""
+        compliance = np.column_stack([1.0 / stiffness, np.full_like(stiffness, np.inf)])
+        return NodalLaw(compliance, np.zeros_like(stiffness), touching)
 
     @staticmethod
     def of_bonds(bonds: Bonds) -> NodalLaw:
         """Return the law of bonds that nothing has loaded."""
         k = bonds.area.size
-        law = NodalLaw(np.tile([0.0, np.inf], (k, 1)), np.zeros(k), bonds)
+        law = NodalLaw(np.tile([0.0, np.inf], (k, 1)), np.zeros(k), bonds=bonds)
         return law.damaged(bonds.intact())
 
     def damaged(self, damage: Vector) -> NodalLaw:
@@ -58,6 +65,9 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
         return None
     if isinstance(law, Cohesive):
         return NodalLaw.of_bonds(_bonds(law, conditions))
+    if isinstance(law, RoughContact):
+        # hard until its tangents are known
+        return None
     area, comm = conditions.area, conditions.surface.comm
     ((label, value),) = vars(law).items()
     values = nodal_values(value, label, conditions)
@@ -73,8 +83,7 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
             f"{conditions.name}: the stiffness of soft contact is not positive at {bad.number} "
             f"nodes, the first at {bad.place}. Take such nodes out of the surface"
         )
-    compliance[:, 0] = 1.0 / (values * area)
-    return NodalLaw(compliance, np.zeros_like(area))
+    return NodalLaw.soft(values * area)
 
 
 def _bonds(law: Cohesive, conditions: ContactConditions) -> Bonds:

@@ -17,6 +17,7 @@ from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -109,6 +110,12 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
         )
     names = ("contacts", kinds, "contact")
     listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
+    laws = [type(getattr(contact, "law", None)) for contact in listed]
+    if RoughContact in laws and Cohesive in laws:
+        raise InputError(
+            f"{contact_name(listed[laws.index(RoughContact)], laws.index(RoughContact))}: "
+            "RoughContact and Cohesive need solves of their own. Take SoftContact beside bonds"
+        )
     for number, contact in enumerate(listed if exact else []):
         _check_hard(contact, contact_name(contact, number), exact)
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":

@@ -47,7 +47,7 @@ class ContactPair(SurfacePair):
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
-    law : SoftContact, Adhesive or ElasticBond, optional
+    law : SoftContact, RoughContact, Adhesive, ElasticBond or Cohesive, optional
         What the surfaces exert across their gap; by default hard contact, that only presses. With
         small strains on undeformed surfaces only.
     initial_gap : "geometric", "touching", float or callable
@@ -135,7 +135,7 @@ class RigidObstacle:
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
-    law : SoftContact, Adhesive or ElasticBond, optional
+    law : SoftContact, RoughContact, Adhesive, ElasticBond or Cohesive, optional
         As that of a `ContactPair`.
     displacement : (gdim,) array-like or callable, optional
         How far what is at each point of the obstacle has moved since the undeformed state [m], for

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from fenics_tfeti.errors import wrong_type
+from fenics_tfeti.errors import check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import NodalValue, check_nodal_value
 from fenics_tfeti.fem.user_data import check_positive, is_number
+from fenics_tfeti.typing import Vector
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,40 @@ class SoftContact:
 
     def __post_init__(self) -> None:
         check_nodal_value(self.stiffness, "SoftContact: the stiffness", positive=True)
+
+
+@dataclass(frozen=True)
+class RoughContact:
+    """Contact whose pressure grows with the approach of the surfaces, as that of rough ones.
+
+    The approach is the penetration: less than zero where surfaces are apart, which may press
+    already. Each solve linearises the law anew, until pressures follow it to 1e-6 of the largest
+    one; solves renew no factor, coarse problem or preconditioner.
+
+    Attributes
+    ----------
+    pressure : callable
+        Returns pressures (n,) [Pa] at approaches d (n,) [m]. It grows with d, by more and more
+        where it is positive, and goes to zero where surfaces are apart.
+    stiffness : callable
+        Returns the derivatives (n,) of the pressure [Pa/m].
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> law = RoughContact(lambda d: 1e19 * d.clip(0) ** 2, lambda d: 2e19 * d.clip(0))
+    >>> law.pressure(np.array([-1e-6, 2e-6])).tolist()
+    [0.0, 40000000.0]
+    """
+
+    pressure: Callable[[Vector], Vector]
+    stiffness: Callable[[Vector], Vector]
+
+    def __post_init__(self) -> None:
+        for name in ("pressure", "stiffness"):
+            value = getattr(self, name)
+            expected = "a function of approaches d (n,) [m] that returns (n,)"
+            check_value(callable(value), f"RoughContact: the {name}", value, expected)
 
 
 @dataclass(frozen=True)
@@ -155,14 +191,14 @@ class Cohesive:
         return not (is_number(self.shear_strength) and self.shear_strength == 0.0)
 
 
-InterfaceLaw: TypeAlias = SoftContact | Adhesive | ElasticBond | Cohesive
+InterfaceLaw: TypeAlias = SoftContact | RoughContact | Adhesive | ElasticBond | Cohesive
 
 
 def check_law(law: Any, label: str) -> None:
     """Check that there is a law of the interface, or none."""
     if law is not None and not isinstance(law, InterfaceLaw):
         expected = (
-            "SoftContact(stiffness), Adhesive(traction), ElasticBond(stiffness), "
-            "Cohesive(strength, energy) or None"
+            "SoftContact(stiffness), RoughContact(pressure, stiffness), Adhesive(traction), "
+            "ElasticBond(stiffness), Cohesive(strength, energy) or None"
         )
         raise wrong_type(f"{label}: law", law, expected)

@@ -8,6 +8,7 @@ import numpy as np
 
 from fenics_tfeti.errors import warn_user
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.laws import RoughContact
 
 # Ratio of E / h from which on an exchange is worth it: it is about that of the two condition
 # numbers, so that bounds of the iterations differ by a factor of two.
@@ -82,7 +83,11 @@ class Roles:
 def _one_sided_data(contact: ContactPair) -> str:
     """Return the argument of a pair, if any, whose values belong to the slave that was given."""
     laws = [law for law in (contact.friction, contact.law) if law is not None]
-    varying = [law for law in laws if not all(map(np.isscalar, vars(law).values()))]
+    varying = [
+        law
+        for law in laws
+        if not (isinstance(law, RoughContact) or all(map(np.isscalar, vars(law).values())))
+    ]
     one_sided = {
         "normal": contact.normal is not None,
         "initial_gap": callable(contact.initial_gap),

@@ -19,7 +19,7 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
 from fenics_tfeti.fem.contact.conditions.friction import NodalFriction
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
-from fenics_tfeti.fem.contact.descriptions.laws import SoftContact
+from fenics_tfeti.fem.contact.descriptions.laws import RoughContact, SoftContact
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.solution.penetration import measured_penetration, whole_surfaces
 from fenics_tfeti.fem.contact.solution.results import (
@@ -163,7 +163,8 @@ class SolvedContacts:
 
 def _is_hard(contact: Contact) -> TypeGuard[ContactPair]:
     """Tell whether a contact is a pair that is not meant to be penetrated."""
-    return isinstance(contact, ContactPair) and not isinstance(contact.law, SoftContact)
+    gives_way = SoftContact | RoughContact
+    return isinstance(contact, ContactPair) and not isinstance(contact.law, gives_way)
 
 
 def _contact_result(
