@@ -24,15 +24,15 @@ CoarseSolverKind = Literal["auto", "redundant", "distributed"]
 
 # Counted on lattices of 108 to 2916 cubes, 1 to 16 ranks (benchmarks/coarse.py):
 # entries of the factor / size^1.5
-_ENTRIES = 3.6
+ENTRIES = 3.6
 # solves of a face; time of a factorisation in solves; time of MUMPS on one rank / CHOLMOD
-_SOLVES, _FACTORISATION, _SLOWER = 10, 80, 2
+_SOLVES, _FACTORISATION, SLOWER = 10, 80, 2
 # collective calls of a solve by MUMPS, besides one for each rank; messages for each rank
-_COLLECTIVES, _MESSAGES = 86, 3
+COLLECTIVES, MESSAGES = 86, 3
 # order from which a factor of the best ordering, a third smaller, is worth a tenth of time more
 _LARGE = 100_000
 # messages of a factorisation by MUMPS, in solves
-_MESSAGES_OF_FACTORISATION = 4
+MESSAGES_OF_FACTORISATION = 4
 # bytes read of memory while a message is under way: 5 us at 10 GB/s
 _LATENCY = 50_000
 # MUMPS is chosen only if it halves the cost: the weight of its messages
@@ -256,7 +256,7 @@ def choose_groups(ranks: int, size: int) -> int:
 
 def _bytes_of_solve(size: int) -> float:
     """Return the bytes of a solve, which reads the entries of a factor twice."""
-    return float(16.0 * _ENTRIES * size**1.5)
+    return float(16.0 * ENTRIES * size**1.5)
 
 
 def _bytes_of_face(ranks: int, size: int, groups: int) -> float:
@@ -265,8 +265,8 @@ def _bytes_of_face(ranks: int, size: int, groups: int) -> float:
     They are memory that factors and solves read, and what could be read while messages are under
     way.
     """
-    part = (_SOLVES + _FACTORISATION) * _bytes_of_solve(size) * _SLOWER / groups
-    rounds = (_COLLECTIVES + groups) * np.log2(groups) + _MESSAGES * (groups - 1)
+    part = (_SOLVES + _FACTORISATION) * _bytes_of_solve(size) * SLOWER / groups
+    rounds = (COLLECTIVES + groups) * np.log2(groups) + MESSAGES * (groups - 1)
     in_groups = 2 * (_SOLVES + 1) * np.log2(ranks / groups)
-    of_mumps = (_SOLVES + _MESSAGES_OF_FACTORISATION) * rounds
+    of_mumps = (_SOLVES + MESSAGES_OF_FACTORISATION) * rounds
     return float(part + _WEIGHT * _LATENCY * (of_mumps + in_groups))
