@@ -44,6 +44,7 @@ def facts(comm: MPI.Intracomm) -> dict[str, str]:
     entries = {"fenics_tfeti": _version("fenics_tfeti"), "Python": platform.python_version()}
     entries["dolfinx"] = _dolfinx()
     names = {"petsc": "PETSc", "mpi": "MPI", "numpy": "NumPy", "scipy": "SciPy"}
+    entries["PETSc"] = "no petsc4py (for factors by CHOLMOD and MUMPS, and options in its database)"
     entries |= {names[name]: " ".join(number.split()) for name, number in versions().items()}
     entries["BLAS"] = comm.bcast(blas())
     processes = comm.Split_type(MPI.COMM_TYPE_SHARED).size
@@ -51,7 +52,7 @@ def facts(comm: MPI.Intracomm) -> dict[str, str]:
     cores = os.cpu_count() or 1
     entries["threads"] = comm.bcast(threads(processes, cores, load, os.environ))
     packages = "; ".join(map(describe_package, available_packages()))
-    entries["sparse factors"] = comm.bcast(packages) or "none: install PETSc with CHOLMOD or MUMPS"
+    entries["sparse factors"] = comm.bcast(packages) or "none: pip install rslab"
     extras = {"gmsh": "mesh files", "pyvista": "pictures", "matplotlib": "curves"}
     entries |= {name: extra(name, purpose) for name, purpose in extras.items()}
     entries["processes"] = str(comm.size)

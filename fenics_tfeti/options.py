@@ -9,13 +9,12 @@ from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import Any, TypeVar
 
-from petsc4py import PETSc
-
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.decomposition.partition import Partitioner
 from fenics_tfeti.fem.io.units import UnitSystem
 from fenics_tfeti.feti import TangentKind
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
+from fenics_tfeti.petsc import PETSc
 
 
 @dataclass(frozen=True)
@@ -135,12 +134,15 @@ def contact_options(kind: type[_Kind], options: Mapping[str, Any] | None, prefix
 
 def _command_line(prefix: str) -> dict[str, str]:
     """Return the options given as ``-<prefix>name value`` to PETSc or to the script."""
+    # PETSc too takes a word after a dash as an option, and a number after one as a value; a program
+    # that embeds Python may have no command line
+    options = {
+        word[1 + len(prefix) :]: "" if re.match("-[A-Za-z]", following) else following
+        for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""])
+        if word.startswith(f"-{prefix}")
+    }
+    # PETSc knows the command line only if petsc4py was started with it
+    if PETSc is None:
+        return options
     database = PETSc.Options(prefix)
-    # a program that embeds Python may have no command line
-    for word, following in pairwise([*getattr(sys, "argv", [])[1:], ""]):
-        # PETSc too takes a word after a dash as an option, and a number after one as a value
-        value = "" if re.match("-[A-Za-z]", following) else following
-        # PETSc knows the command line only if petsc4py was started with it
-        if word.startswith(f"-{prefix}") and not database.hasName(word[1 + len(prefix) :]):
-            database.setValue(word[1 + len(prefix) :], value)
-    return {name: database.getString(name) for name in database.getAll()}
+    return options | {name: database.getString(name) for name in database.getAll()}

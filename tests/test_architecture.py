@@ -24,10 +24,11 @@ LAYERS = {
     "errors": (set(), set()),
     "parallel": ({"typing", "errors"}, {"mpi4py", "numpy"}),
     "compiled": ({"typing"}, set()),
+    "petsc": (set(), {"petsc4py"}),
     "qp": ({"typing", "errors"}, {"numpy", "scipy"}),
     "feti": (
-        {"typing", "errors", "parallel", "compiled", "qp"},
-        {"mpi4py", "numpy", "petsc4py", "scipy"},
+        {"typing", "errors", "parallel", "compiled", "petsc", "qp"},
+        {"mpi4py", "numpy", "scipy"},
     ),
     "fem": ({"typing", "errors", "parallel", "compiled", "feti"}, None),
 }

@@ -21,7 +21,6 @@ from mpi4py import MPI
 import numpy as np
 
 import dolfinx
-import dolfinx.fem.petsc
 import ufl
 from dolfinx import cpp, fem, la, mesh
 from ufl.algorithms import extract_coefficients

@@ -1,7 +1,7 @@
 """Total FETI for torn elasticity problems with contact; knows no finite element library.
 
 A researcher with K_i, f_i and node numbers from any code fills a `TornSystem` and calls
-`TornSolver`; ``numpy``, ``scipy``, ``petsc4py`` and ``mpi4py`` are all it needs.
+`TornSolver`; ``numpy``, ``scipy``, ``mpi4py`` and ``petsc4py`` or ``rslab`` are all it needs.
 """
 
 from fenics_tfeti.feti.checks.system import check_system

@@ -13,13 +13,12 @@ from typing import Any
 
 from mpi4py import MPI
 
-from petsc4py import PETSc
-
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from fenics_tfeti import ContactPair, Plane, RigidObstacle, Sphere
+from fenics_tfeti.petsc import PETSc
 
 Vector = NDArray[np.float64]
 Numbers = NDArray[np.int64]

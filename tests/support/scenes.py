@@ -7,8 +7,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-from petsc4py import PETSc
-
 import numpy as np
 import primal_reference as reference
 from numpy.typing import NDArray
@@ -198,7 +196,7 @@ def fixed(V: Any, facet_tags: Any, tag: int, component: int | None = None, value
     if isinstance(value, fem.Function):
         return fem.dirichletbc(value, dofs)
     if component is None and np.isscalar(value):
-        value = np.full(V.mesh.geometry.dim, value, PETSc.ScalarType)
+        value = np.full(V.mesh.geometry.dim, value, dtype=np.float64)
     return fem.dirichletbc(value, dofs, space)
 
 

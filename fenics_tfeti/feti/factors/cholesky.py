@@ -13,8 +13,6 @@ from typing import Literal, Protocol
 
 from mpi4py import MPI
 
-from petsc4py import PETSc
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -29,6 +27,7 @@ from fenics_tfeti.feti.factors.supernodal import (
     out_of_memory,
 )
 from fenics_tfeti.feti.factors.threads import one_thread
+from fenics_tfeti.petsc import PETSc
 from fenics_tfeti.typing import Numbers, Operator, Vector
 
 Package = Literal["auto", "cholmod", "rslab", "mumps"]
@@ -36,7 +35,7 @@ Package = Literal["auto", "cholmod", "rslab", "mumps"]
 _PREFERENCE = ("cholmod", "rslab", "mumps")
 
 
-def check_real_numbers(scalar: type = PETSc.ScalarType) -> None:
+def check_real_numbers(scalar: type = PETSc.ScalarType if PETSc else np.float64) -> None:
     """Check that PETSc computes with real numbers; raise `InputError` if it does not."""
     if np.issubdtype(scalar, np.complexfloating):
         raise InputError(
@@ -51,6 +50,8 @@ def check_real_numbers(scalar: type = PETSc.ScalarType) -> None:
 def _is_available(package: str) -> bool:
     if package == "rslab":
         return find_spec("rslab") is not None
+    if PETSc is None:
+        return False
     A = _petsc_matrix(sp.identity(1, format="csr"))
     pc = _petsc_cholesky(A, package)
     try:

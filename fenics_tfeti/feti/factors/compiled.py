@@ -6,9 +6,8 @@ import ctypes
 from functools import cache
 from pathlib import Path
 
-from petsc4py import PETSc
-
 from fenics_tfeti.compiled import Unavailable, compiled_library
+from fenics_tfeti.petsc import PETSc
 
 SOURCE = Path(__file__).with_name("supernodal.c")
 
@@ -31,6 +30,8 @@ def _supernodal_library() -> ctypes.CDLL:
 
 
 def _version_of_cholmod() -> str:
+    if PETSc is None:
+        raise Unavailable("there is no petsc4py")
     # the search for a symbol goes through all libraries that PETSc is linked with
     library = ctypes.CDLL(PETSc.__file__)
     if not hasattr(library, "cholmod_version"):

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 
-from petsc4py import PETSc
+from fenics_tfeti.petsc import PETSc
 
 
 @cache
@@ -22,15 +22,15 @@ def openmp(path: str) -> ctypes.CDLL | None:
 
 
 @contextmanager
-def one_thread(path: str = PETSc.__file__) -> Iterator[None]:
+def one_thread(path: str = "") -> Iterator[None]:
     """Let OpenMP's parallel regions run on one thread, whatever number they ask for.
 
     CHOLMOD 3 asks for four in its supernodal factorisation, whatever OMP_NUM_THREADS is. A factor
     of some thousand unknowns has many regions of a few microseconds, and on two processors the
     threads wait for each other most of the time: it takes three times as long. The path is that of
-    a library that is linked with what uses OpenMP.
+    a library that is linked with what uses OpenMP, by default PETSc's.
     """
-    library = openmp(path)
+    library = openmp(path or PETSc.__file__)
     if library is None:
         yield
         return

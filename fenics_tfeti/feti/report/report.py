@@ -12,8 +12,6 @@ from typing import Any
 
 from mpi4py import MPI
 
-from petsc4py import PETSc
-
 import numpy as np
 import scipy
 import scipy.sparse as sp
@@ -37,6 +35,7 @@ from fenics_tfeti.feti.solution.states import (
 from fenics_tfeti.feti.system import TornSystem
 from fenics_tfeti.feti.tolerances import FACETED, NEGLIGIBLE
 from fenics_tfeti.parallel import count_over_ranks, meet, raise_collectively
+from fenics_tfeti.petsc import PETSc
 from fenics_tfeti.qp import OuterIteration
 
 FEW_LINES = 12  # for the contacts in a printed report
@@ -391,10 +390,10 @@ def _weak_motions(system: TornSystem, setup: DualSetup, candidate: Candidate) ->
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of NumPy, SciPy, PETSc and MPI."""
+    """Return the versions of NumPy, SciPy, MPI, and PETSc if there is one."""
     return {
         "numpy": np.__version__,
         "scipy": scipy.__version__,
-        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        **({"petsc": ".".join(map(str, PETSc.Sys.getVersion()))} if PETSc else {}),
         "mpi": MPI.Get_library_version().split("\n")[0].split(",")[0].strip("\x00 "),
     }
