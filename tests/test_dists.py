@@ -51,6 +51,13 @@ def test_metadata(dists):
     assert len(needed) == 1 and "3.12" in needed[0] and "extra == " in needed[0]
 
 
+def test_versions_are_one():
+    """That of the package, of its citation, and of the changes that are listed first."""
+    (version,) = re.findall(r'^version = "(.+)"$', (ROOT / "pyproject.toml").read_text(), re.M)
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
+    assert re.findall(r"^## \[(.+)\]", (ROOT / "CHANGELOG.md").read_text(), re.M)[0] == version
+
+
 def test_conda_recipe():
     """It has the version of the package, and what conda's packages of FEniCSx do not bring."""
     recipe = (ROOT / "recipe" / "recipe.yaml").read_text()

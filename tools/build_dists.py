@@ -23,6 +23,8 @@ _FOLDERS = (
     "docs",
     "fenics_tfeti",
     "meshes",
+    "paper",
+    "recipe",
     "tests",
     "tools",
 )
