@@ -189,7 +189,6 @@ def test_pages_of_their_own(page, folder):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text())
 
 
-@pytest.mark.once  # LinearProblem differs between versions of dolfinx
 def test_temperature():
     """Pressure and flux of two bars in one dimension."""
     variables = recipe("temperature")

@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # Try the lines of docs/install.md in clean environments:
-#     tools/try-install.sh [pypi] [debian12] [debian13]
+#     [PAGES=1] tools/try-install.sh [pypi] [debian12] [debian13]
 # By default those that can run on this machine. The sdist is unpacked, and the lines are run in its
-# folder; then the self-test on one and two processes, and a demo, whose mesh the sdist has.
+# folder; then the self-test on one and two processes, and a demo, whose mesh the sdist has. With PAGES
+# the code of all pages runs there, too, and has to print what they show.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -28,6 +29,12 @@ grep -q "processes  2" two.log
 python two_beams.py
 test -s results/two_beams_pressure.png
 python -c "import fenics_tfeti; print(fenics_tfeti.__file__)" | grep -q site-packages
+if [ -n "${PAGES:-}" ]; then
+    cd ..
+    pip install pytest pytest-timeout scikit-fem nbformat hypothesis \
+        "numpy==$(python -c 'import numpy; print(numpy.__version__)')"
+    python -P -m pytest -q tests/test_docs_code.py  # -P: not the sources, but what is installed
+fi
 EOF
     echo "==== $1"
     (cd "$folder" && env -u PYTHONPATH -u VIRTUAL_ENV bash -exo pipefail lines.sh) || status=$?
