@@ -82,7 +82,7 @@ release-check: env  ## what wheel, sdist and recipe of conda hold
 	$(PY) -m pytest tests/test_dists.py
 
 clean:  ## remove the environments and what runs leave behind
-	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock
+	rm -rf .venv .venv.lock .venv-wheel .venv-wheel.lock .debian13 .debian13.lock .debian-*
 	rm -rf .venv-latest .venv-latest.lock .venv-wheel-latest .venv-wheel-latest.lock
 	rm -rf *.egg-info build dist docs/_build docs/_generated docs/demos/*.md docs/demos/notebooks
 	rm -rf results

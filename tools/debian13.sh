@@ -1,14 +1,18 @@
 #!/usr/bin/env bash
-# Run a command on a copy of the project in Debian 13, which has dolfinx 0.9:
-#     tools/debian13.sh make test
+# Run a command on a copy of the project in Debian 13, which has dolfinx 0.9, or in another release:
+#     [DEBIAN=sid] tools/debian13.sh make test
 # "tools/debian13.sh --check" prints why this machine cannot do it, or nothing.
 #
-# debootstrap makes the system in .debian13/ the first time, and again when this file changes.
+# debootstrap makes the system in .debian13/ (.debian-sid/) the first time, and again when this file
+# changes.
 # Mounts and processes are in namespaces of their own: when the command ends, fails or is
 # interrupted, none is left, so that the folder can be deleted at any time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
-readonly release=trixie home=$PWD/.debian13
+readonly release=${DEBIAN:-trixie}
+home=$PWD/.debian-$release
+[ "$release" != trixie ] || home=$PWD/.debian13
+readonly home
 readonly root=$home/root
 key=$(sha256sum tools/debian13.sh)
 
@@ -30,7 +34,7 @@ mirror() {
             '$1 == "Debian" && $2 == name && $3 == "main" { sub("/$", "", $4); print $4; exit }'
 }
 
-# Print why this machine cannot run Debian 13, or nothing.
+# Print why this machine cannot run that Debian, or nothing.
 obstacle() {
     [ "$(id -u)" -eq 0 ] || { echo "only root can"; return; }
     command -v debootstrap apt-get >/dev/null || { echo "there is no debootstrap"; return; }
@@ -64,7 +68,7 @@ make_system() {
     echo 'APT::Keep-Downloaded-Packages "false";' >"$root/etc/apt/apt.conf.d/90lean"
 }
 
-# Give Debian 13 this machine's network, certificates, and settings of apt and pip.
+# Give that Debian this machine's network, certificates, and settings of apt and pip.
 copy_configuration() {
     local file
     cp -L /etc/resolv.conf /etc/hosts "$root/etc"
@@ -80,7 +84,7 @@ copy_configuration() {
     done
 }
 
-# Replace the project in Debian 13 by this one, except for its environment.
+# Replace the project in that Debian by this one, except for its environment.
 copy_project() {
     mkdir -p "$root/project"
     find "$root/project" -mindepth 1 -maxdepth 1 ! -name '.venv*' -exec rm -rf {} +
@@ -121,10 +125,10 @@ case ${1:-} in
     --run) shift && run_inside "$@" ;;
     *)
         reason=$(obstacle)
-        [ -z "$reason" ] || { echo "Debian 13 cannot run on this machine: $reason" >&2; exit 1; }
+        [ -z "$reason" ] || { echo "Debian $release cannot run on this machine: $reason" >&2; exit 1; }
         exec 9>"$home.lock" && flock 9
         if ! made; then
-            echo ".debian13: making it with debootstrap"
+            echo "${home##*/}: making it with debootstrap"
             rm -f "$home/made"
             isolated "$0" --make >"$home/log" 2>&1 || { tail -n 40 "$home/log" >&2; exit 1; }
             echo "$key" >"$home/made"

@@ -56,7 +56,9 @@ by_hand() {
     cat >&2 <<EOF
 
 make env: $1
-Install the packages by hand (as root) and run 'make env' again:
+Without root, with Python 3.12 or later and PyPI's dolfinx:
+    make env-wheel && .venv-wheel/bin/python demos/two_beams.py
+Or install the packages by hand (as root) and run 'make env' again:
     apt-get update && apt-get install -y --no-install-recommends ${missing[*]}
 Or do without Debian's packages, in a conda environment:
     conda install -c conda-forge fenics-dolfinx mpich petsc4py mpi4py scipy python-gmsh pyvista
