@@ -23,7 +23,7 @@ from fenics_tfeti.fem.contact.surfaces.tagged import as_ufl_weight
 from fenics_tfeti.fem.decomposition.bodies import find_bodies
 from fenics_tfeti.fem.io.fields import with_third_direction
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import cell_type, owned_cells
+from fenics_tfeti.fem.topology import cell_type, find_tagged, owned_cells
 from fenics_tfeti.fem.user_data import check_positive
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Mask, Numbers
@@ -567,7 +567,7 @@ def _layers_at(mesh: Mesh, contacts: Sequence[Contact]) -> tuple[Mask, Mask]:
     space = _compat.lagrange_space(mesh, 1)
     nodes, facet = NodeMap(space), mesh.topology.dim - 1
     mesh.topology.create_connectivity(facet, facet + 1)
-    facets = [c.facet_tags.find(tag) for c in contacts for tag in surface_tags(c)]
+    facets = [find_tagged(c.facet_tags, tag) for c in contacts for tag in surface_tags(c)]
     at_contact = [fem.locate_dofs_topological(space, facet, part) for part in facets]
     corners = nodes.to_global(_compat.cell_dofs(space)[: owned_cells(mesh)])
     first = _touching(nodes, nodes.to_global(np.concatenate([*at_contact, []])), corners)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +17,9 @@ from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.geometry.reference_cells import ReferenceCell, reference_cell
 from fenics_tfeti.parallel import raise_collectively
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers
+
+Tag: TypeAlias = int | tuple[int, ...]
+"""That of a surface, or several."""
 
 NO_TAG = int(np.iinfo(np.int64).min)
 """In place of a tag, where there is none."""
@@ -41,6 +44,16 @@ def with_tag_names(tags: Any, names: Mapping[int, str]) -> Any:
 def tag_names(tags: Any) -> Mapping[int, str]:
     """Return the names that tags carry, by tag."""
     return getattr(tags, "tag_names", {})
+
+
+def each_tag(tag: Tag) -> tuple[int, ...]:
+    """Return the tags of a surface as a tuple."""
+    return tag if isinstance(tag, tuple) else (tag,)
+
+
+def find_tagged(tags: Any, tag: Tag) -> Indices:
+    """Return the entities of this rank with a tag, or with any of several, ascending."""
+    return np.sort(np.concatenate([tags.find(t) for t in each_tag(tag)])).astype(np.int32)
 
 
 def dense_tags(tags: Any, size: int) -> Numbers:

@@ -30,6 +30,7 @@ from fenics_tfeti.fem.topology import (
     cells_of_facets,
     exterior_cell_facets,
     facet_corners,
+    find_tagged,
     global_numbers,
 )
 from fenics_tfeti.parallel import Directory, concatenate_ranks, send_rows
@@ -92,7 +93,7 @@ def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mas
         if tags is not None and _compat.tags_are_on(tags, domain) and tags.dim == dim:
             of_sides = surface_tags(contact)
             for mark, tag in zip(marks, (of_sides[0], of_sides[-1]), strict=True):
-                mark[facet_corners(domain, *cells_of_facets(domain, tags.find(tag)))] = True
+                mark[facet_corners(domain, *cells_of_facets(domain, find_tagged(tags, tag)))] = True
     return marks[0], marks[1]
 
 

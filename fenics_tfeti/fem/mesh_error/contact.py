@@ -15,7 +15,7 @@ from fenics_tfeti.fem.geometry.reference_cells import shape_values
 from fenics_tfeti.fem.mesh_error.faces import CellFaces, FacetRule
 from fenics_tfeti.fem.mesh_error.tractions import over_ranks
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import dense_tags
+from fenics_tfeti.fem.topology import Tag, dense_tags, each_tag
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Mask, Numbers, Vector
 
@@ -47,11 +47,11 @@ def facets_of(faces: CellFaces, nodes: NodeMap, entry: FoundContact | FoundTie) 
     return np.stack([is_at[:, closure].all(axis=1) for closure in faces.closure], axis=1)
 
 
-def tagged(faces: CellFaces, facet_tags: object, tags: list[int]) -> Mask:
+def tagged(faces: CellFaces, facet_tags: object, tags: list[Tag]) -> Mask:
     """Tell which facets (k, f) have one of some tags."""
     index_map = faces.space.mesh.topology.index_map(faces.dim - 1)
     dense = dense_tags(facet_tags, index_map.size_local + index_map.num_ghosts)
-    return np.isin(dense[faces.facets], tags)
+    return np.isin(dense[faces.facets], [t for tag in tags for t in each_tag(tag)])
 
 
 def gap_energies(

@@ -112,7 +112,7 @@ MISTAKES = table(
     ),
     ("surfaces that lie back to back", plates((2, 1.0), (1, 0.0))),
     ("tag that is a name", paired("top", MASTER)),
-    ("several tags", paired(SLAVE, [MASTER])),
+    ("several tags, one of them no integer", paired(SLAVE, [MASTER, 6.5])),
     ("facet tags that are an array", paired(SLAVE, MASTER, lambda s: np.zeros(3))),
     ("contact of a wrong type", posed(contacts=[(SLAVE, MASTER)])),
     ("contacts that are a number", posed(contacts=SLAVE)),

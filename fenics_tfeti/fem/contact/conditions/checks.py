@@ -18,19 +18,19 @@ from fenics_tfeti.fem.contact.descriptions.surfaces import surface_key, surface_
 from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
-from fenics_tfeti.fem.topology import cell_vertices
+from fenics_tfeti.fem.topology import Tag, cell_vertices, each_tag
 from fenics_tfeti.parallel import largest_of_groups, raise_collectively
 from fenics_tfeti.typing import Vector
 
 
 def check_different_surfaces(contacts: Sequence[Contact], comm: MPI.Intracomm) -> None:
     """Check that no two pairs join the same two surfaces, in either role."""
-    pairs: dict[frozenset[tuple[int, int]], int] = {}
+    pairs: dict[frozenset[tuple[int, Tag]], int] = {}
     with raise_collectively(comm):
         for number, contact in enumerate(contacts):
             if not isinstance(contact, ContactPair):
                 continue
-            tags = sorted(surface_tags(contact))
+            tags = sorted(surface_tags(contact), key=each_tag)
             surfaces = frozenset(surface_key(contact.facet_tags, tag) for tag in tags)
             if surfaces in pairs:
                 raise InputError(

@@ -13,7 +13,12 @@ from fenics_tfeti.fem.contact.descriptions.laws import InterfaceLaw, check_law
 from fenics_tfeti.fem.contact.descriptions.partners import Mortar, NodePartners
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.shapes import Obstacle
-from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, check_tags, checked_label
+from fenics_tfeti.fem.contact.descriptions.surfaces import (
+    SurfacePair,
+    SurfaceTags,
+    check_tags,
+    checked_label,
+)
 from fenics_tfeti.fem.user_data import (
     ScalarField,
     VectorField,
@@ -40,9 +45,9 @@ class ContactPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int or str
+    slave, master : int or str, or list of these
         Tag of the slave's and of the master's surface, or its name where `facet_tags` carry names,
-        as those of `read_msh` and `split_interfaces` do; it becomes the tag.
+        as those of `read_msh` and `split_interfaces` do; it becomes the tag. A list joins surfaces.
     name : str
         For messages and the report.
     friction : Tresca or Coulomb, optional
@@ -124,8 +129,8 @@ class RigidObstacle:
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave : int or str
-        Tag or name of the surface.
+    slave : int or str, or list of these
+        Tag or name of the surface, or of several.
     obstacle : callable
         x -> (gap, normal) for points x of shape (3, n): the distance (n,) to the obstacle [m] and
         the unit normal (gdim, n) that points from the obstacle to the body. Or x -> gap alone, the
@@ -157,7 +162,7 @@ class RigidObstacle:
 
     default_name = "contact {} (obstacle)"
     facet_tags: Any
-    slave: int | str
+    slave: SurfaceTags
     obstacle: Obstacle
     _: KW_ONLY
     name: str = ""
@@ -205,7 +210,7 @@ class SelfContact:
     ----------
     facet_tags : MeshTags, optional
         Tags of facets; by default the surface is the whole boundary of the mesh.
-    surface : int or str, optional
+    surface : int or str, or list of these, optional
         Tag or name of the surface.
     distance : float, optional
         How far apart facets may be that are looked at together [m]: surfaces should not come nearer
@@ -224,7 +229,7 @@ class SelfContact:
 
     default_name = "contact {} (self)"
     facet_tags: Any = None
-    surface: int | str | None = None
+    surface: SurfaceTags | None = None
     _: KW_ONLY
     distance: float | None = None
     friction: FrictionLaw | None = None

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass
 from itertools import count
-from typing import Any
+from typing import Any, TypeAlias
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.topology import tag_names
+from fenics_tfeti.fem.topology import Tag, each_tag, tag_names
 from fenics_tfeti.fem.user_data import is_integer
+
+# a tag or a name, or several
+SurfaceTags: TypeAlias = int | str | Sequence[int | str]
 
 
 @dataclass(frozen=True)
@@ -20,23 +23,24 @@ class SurfacePair:
     # where both are one
     remedy = "fenics_tfeti.io.split_interfaces makes two of one inside a body"
     facet_tags: Any
-    slave: int | str
-    master: int | str
+    slave: SurfaceTags
+    master: SurfaceTags
     _: KW_ONLY
     name: str = ""
 
     def __post_init__(self) -> None:
         label = checked_label(self)
         check_tags(self, label, "slave", "master")
-        if self.slave == self.master:
+        slave, master = (each_tag(tag) for tag in surface_tags(self))
+        if both := [tag for tag in slave if tag in master]:
             raise InputError(
-                f"{label}: slave and master have the same tag {self.slave}; each surface needs one "
-                f"of its own. {self.remedy}"
+                f"{label}: slave and master have the same tag {both[0]}; each surface needs one of "
+                f"its own. {self.remedy}"
             )
 
 
-def surface_tags(contact: Any) -> list[int]:
-    """Return the tags of the surfaces of the mesh: the slave's, and that of a master if any."""
+def surface_tags(contact: Any) -> list[Tag]:
+    """Return the tag, or tags, of each surface of the mesh: the slave's, and a master's if any."""
     tags = (getattr(contact, role, None) for role in ("slave", "master", "surface"))
     return [tag for tag in tags if tag is not None]
 
@@ -46,7 +50,7 @@ def contact_name(contact: Any, number: int) -> str:
     return contact.name or contact.default_name.format(number)
 
 
-def surface_key(facet_tags: Any, tag: int) -> tuple[int, int]:
+def surface_key(facet_tags: Any, tag: Tag) -> tuple[int, Tag]:
     """Return what tells the surfaces of the contacts in a list apart.
 
     Several objects of Python may stand for the same tags.
@@ -97,27 +101,31 @@ def checked_label(contact: Any) -> str:
 
 
 def check_tags(contact: Any, label: str, *roles: str) -> None:
-    """Check tags of facets, and the tag of each role; names become the tags they stand for."""
+    """Check tags of facets, and those of each role; names become the tags they stand for."""
     facet_tags = contact.facet_tags
     if not (hasattr(facet_tags, "find") and hasattr(facet_tags, "dim")):
         expected = "a MeshTags of facets, as returned by dolfinx.mesh.meshtags,"
         raise wrong_type(f"{label}: facet_tags", facet_tags, expected)
     tags = {name: tag for tag, name in tag_names(facet_tags).items()}
     for role in roles:
-        tag = getattr(contact, role)
-        tag = tags.get(tag, tag) if isinstance(tag, str) else tag
-        if not is_integer(tag):
-            raise InputError(
-                f"{label}: the tag of the {role} is {tag!r}; an integer is expected, one of the "
-                f"values of facet_tags, or a name that they carry. {_remedy(tag, sorted(tags))}"
-            )
-        object.__setattr__(contact, role, tag)
+        given = getattr(contact, role)
+        several = given if isinstance(given, list | tuple) and given else [given]
+        numbers = [tags.get(tag, tag) if isinstance(tag, str) else tag for tag in several]
+        for tag in numbers:
+            if not is_integer(tag):
+                raise InputError(
+                    f"{label}: the tag of the {role} is {tag!r}; an integer is expected, one of "
+                    "the values of facet_tags, or a name that they carry. "
+                    f"{_remedy(tag, sorted(tags))}"
+                )
+        distinct = tuple(sorted(set(map(int, numbers))))
+        object.__setattr__(contact, role, distinct if len(distinct) > 1 else distinct[0])
 
 
 def _remedy(tag: Any, names: Sequence[str]) -> str:
     """Return what to give in place of a tag; `names` are all names."""
     if not isinstance(tag, str):
-        return "To use several tags, join them under one"
+        return "A list stands for several tags"
     if not names:
         return "These facet_tags carry no names; those of read_msh and split_interfaces do"
     return f"The names are {', '.join(map(repr, names))}"

@@ -35,7 +35,7 @@ class TiedPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int or str
+    slave, master : int or str, or list of these
         Tag or name of the slave's and of the master's surface. The slave should be the softer
         surface and, of two equally stiff ones, that with the larger facets.
     name : str
@@ -62,7 +62,7 @@ class PeriodicPair(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int or str
+    slave, master : int or str, or list of these
         Tag or name of the slave's and of the master's surface; their meshes have to match.
     translation : (gdim,) array-like, optional
         t [m]; by default 0.
@@ -114,7 +114,7 @@ class BoltPreload(SurfacePair):
     ----------
     facet_tags : MeshTags
         Tags of facets.
-    slave, master : int or str
+    slave, master : int or str, or list of these
         Tags or names of the two sides of the cut.
     force : float, optional
         Tension of the shank [N]; [N/m] in plane problems.

@@ -25,6 +25,7 @@ from fenics_tfeti.fem.decomposition.bodies import Bodies
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.nodes import NodeMap
+from fenics_tfeti.fem.topology import Tag, find_tagged
 from fenics_tfeti.feti.system import ContactRows, Prescribed
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.typing import Numbers, Vector
@@ -111,7 +112,7 @@ class RigidNodes:
             )
         return self.bodies[masters[0]] if masters else None
 
-    def on_surface(self, facet_tags: Any, tag: int) -> bool:
+    def on_surface(self, facet_tags: Any, tag: Tag) -> bool:
         """Tell whether nodes of facets with a tag are on a rigid body. Collective."""
         space = self.nodes.space
         dim = space.mesh.topology.dim - 1
@@ -119,7 +120,7 @@ class RigidNodes:
         is_right = _compat.tags_are_on(facet_tags, space.mesh) and facet_tags.dim == dim
         if not (self.bodies and is_right):
             return False
-        local = np.asarray(locate_dofs_topological(space, dim, facet_tags.find(tag)))
+        local = np.asarray(locate_dofs_topological(space, dim, find_tagged(facet_tags, tag)))
         number = self.nodes.values_at(self.body, self.nodes.to_global(local))
         return any_rank(self.nodes.comm, number >= 0)
 

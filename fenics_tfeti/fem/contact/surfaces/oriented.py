@@ -15,15 +15,21 @@ from fenics_tfeti.fem.geometry.reference_cells import (
     ReferenceCell,
 )
 from fenics_tfeti.fem.geometry.vectors import centres
-from fenics_tfeti.fem.topology import cell_type, cell_vertices, cells_of_facets, facet_corners
+from fenics_tfeti.fem.topology import (
+    Tag,
+    cell_type,
+    cell_vertices,
+    cells_of_facets,
+    facet_corners,
+    find_tagged,
+)
 from fenics_tfeti.typing import Indices, Numbers
 
 
-def owned_facets(domain: Mesh, facet_tags: Any, tag: int) -> Indices:
-    """Return the facets (f,) with a tag that this rank owns, ascending."""
-    facets = facet_tags.find(tag)
-    owned = domain.topology.index_map(domain.topology.dim - 1).size_local
-    return np.sort(facets[facets < owned])
+def owned_facets(domain: Mesh, facet_tags: Any, tag: Tag) -> Indices:
+    """Return the facets (f,) with a tag, or with any of several, that this rank owns, ascending."""
+    facets = find_tagged(facet_tags, tag)
+    return facets[facets < domain.topology.index_map(domain.topology.dim - 1).size_local]
 
 
 def oriented_facets(space: FunctionSpace, facets: Indices) -> Indices:

@@ -31,9 +31,11 @@ from fenics_tfeti.fem.messages import WrongPoints, coordinate_order, first_wrong
 from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.fem.tolerances import COORDINATE_ROUNDING, RELATIVE_ROUNDING, VANISHING_NORMAL
 from fenics_tfeti.fem.topology import (
+    Tag,
     cell_facets,
     cell_type,
     cell_vertices,
+    each_tag,
     exterior_facets,
     vertex_nodes,
 )
@@ -410,7 +412,7 @@ def gather_surfaces(surfaces: Sequence[Surface]) -> list[SurfaceFacets]:
 def tagged_surface(
     boundary: MeshBoundary,
     facet_tags: Any,
-    tag: int,
+    tag: Tag,
     name: str,
     role: str = "",
     user_normal: VectorField | None = None,
@@ -422,7 +424,7 @@ def tagged_surface(
 
 
 def tagged_facets(
-    boundary: MeshBoundary, tagged: Sequence[tuple[Any, int, str]], may_be_empty: Mask | None = None
+    boundary: MeshBoundary, tagged: Sequence[tuple[Any, Tag, str]], may_be_empty: Mask | None = None
 ) -> list[Indices]:
     """Return this rank's facets of each (meshtags, tag, label), checked. Collective.
 
@@ -443,10 +445,14 @@ def tagged_facets(
                 )
     labels = [label for *_, label in tagged]
     facets = [owned_facets(domain, facet_tags, tag) for facet_tags, tag, _ in tagged]
-    number = np.array([part.size for part in facets])
-    comm.Allreduce(MPI.IN_PLACE, number)
-    is_missing = (number == 0) if may_be_empty is None else (number == 0) & ~may_be_empty
-    for facet_tags, tag, label in (tagged[k] for k in np.flatnonzero(is_missing)[:1]):
+    single = [(k, tag) for k, (_, tags, _) in enumerate(tagged) for tag in each_tag(tags)]
+    of_tags = np.array([owned_facets(domain, tagged[k][0], tag).size for k, tag in single])
+    comm.Allreduce(MPI.IN_PLACE, of_tags)
+    surface = np.array([k for k, _ in single])
+    number = np.bincount(surface, of_tags, len(tagged)).astype(int)
+    is_missing = (of_tags == 0) if may_be_empty is None else (of_tags == 0) & ~may_be_empty[surface]
+    for k, tag in (single[m] for m in np.flatnonzero(is_missing)[:1]):
+        facet_tags, _, label = tagged[k]
         existing = np.unique(concatenate_ranks(comm, np.unique(facet_tags.values))).tolist()
         raise InputError(f"{label}: tag {tag} is on no facet; the tags there are {existing}")
     every = np.concatenate(facets)
