@@ -15,6 +15,7 @@ from fenics_tfeti.fem.io.fields import (
 )
 from fenics_tfeti.fem.io.gmsh import read_msh
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
+from fenics_tfeti.fem.io.mesh_files import read_mesh
 from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
 from fenics_tfeti.fem.io.refinement import refine, set_mesh_sizes
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
@@ -33,6 +34,7 @@ __all__ = [
     "draw_deformed",
     "draw_profile",
     "piecewise_constant",
+    "read_mesh",
     "read_msh",
     "refine",
     "set_mesh_sizes",

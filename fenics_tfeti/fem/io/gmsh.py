@@ -92,12 +92,19 @@ def read_msh(
         if comm.rank == 0:
             with _opened_file(gmsh, path):
                 whole = _whole_mesh(gmsh.model, path, gdim)
-            if straighten:
-                whole, message = straighten_folded_cells(whole)
-                if message:
-                    warn_user(f"{path}: {message}")
-            whole = open_interfaces(whole, split) if split else whole
+            whole = prepared(path, whole, split, straighten)
     return distribute(comm, whole)
+
+
+def prepared(
+    path: Path, whole: WholeMesh, split: Sequence[Interface], straighten: bool
+) -> WholeMesh:
+    """Return a mesh with straight cells in place of folded ones, and with open interfaces."""
+    if straighten:
+        whole, message = straighten_folded_cells(whole)
+        if message:
+            warn_user(f"{path}: {message}")
+    return open_interfaces(whole, split) if split else whole
 
 
 @dataclass(frozen=True)
@@ -138,7 +145,7 @@ def _whole_mesh(model: Any, path: Path, gdim: int) -> WholeMesh:
     order = np.argsort(numbers)
     x = x.reshape(-1, 3)[order]
     row = positions(numbers[order].astype(np.int64), used.astype(np.int64))
-    _check_cells(path, nodes, x[row])
+    check_distinct_cells(path, nodes, x[row])
     if row.size < len(x):
         # such as centres of circles, which Gmsh saves if its option Mesh.SaveAll is set
         first = format_point(np.delete(x, row, axis=0)[0])
@@ -197,7 +204,7 @@ def _check_dimension(model: Any, path: Path, dimension: int, gdim: int) -> None:
     )
 
 
-def _check_cells(path: Path, nodes: Numbers, x: Vector) -> None:
+def check_distinct_cells(path: Path, nodes: Numbers, x: Vector) -> None:
     """Check that no cell is there twice or has a node twice."""
     cells = np.sort(nodes, axis=1)
 
