@@ -1,4 +1,4 @@
-"""Material laws, pressures, densities and supports that many problems have."""
+"""Material laws, loads, densities and supports that many problems have."""
 
 from __future__ import annotations
 
@@ -195,6 +195,92 @@ def neo_hookean_stress(E: Any, nu: Any) -> Callable[[Any], Any]:
         return (mu * (left - identity) + lmbda * ufl.ln(J) * identity) / J
 
     return stress
+
+
+def centrifugal_force(
+    density: Any,
+    speed: Any,
+    x: Any,
+    axis: Sequence[float] | None = None,
+    center: Sequence[float] | None = None,
+) -> Any:
+    """Return the force on a body that turns steadily, seen from it: density speed^2 r [N/m^3].
+
+    r points from the axis to x.
+
+    Parameters
+    ----------
+    density : float or UFL expression
+        Mass per volume [kg/m^3], at finite strains that of the undeformed body.
+    speed : float or UFL expression
+        The angular speed [rad/s].
+    x : UFL expression
+        Where the force acts: ``ufl.SpatialCoordinate(mesh)``, at finite strains that plus u.
+    axis : sequence of float, optional
+        The direction of the axis, of any length. By default z, in two dimensions across the plane;
+        in axisymmetric problems it is (0, 1).
+    center : sequence of float, optional
+        A point of the axis [m], by default the origin.
+
+    Returns
+    -------
+    UFL expression
+        The vector, for `L` by its product with the test function.
+
+    Raises
+    ------
+    InputError
+        If `axis` or `center` has another number of components than x, or is no direction.
+
+    Examples
+    --------
+    >>> force = centrifugal_force(7850.0, 314.0, x, axis=(0, 0, 1))  # doctest: +SKIP
+    >>> L += ufl.inner(force, v) * ufl.dx  # doctest: +SKIP
+    """
+    (dim,) = x.ufl_shape
+    a = np.zeros(dim) if axis is None else np.asarray(axis, dtype=float)
+    if axis is None and dim == 3:
+        a[2] = 1.0
+    c = np.zeros(dim) if center is None else np.asarray(center, dtype=float)
+    for name, value in (("axis", a), ("center", c)):
+        if value.shape != (dim,) or not np.isfinite(value).all():
+            raise InputError(
+                f"centrifugal_force: {name} is {value.tolist()}; {dim} finite numbers are expected"
+            )
+    if axis is not None:
+        if not (length := np.linalg.norm(a)) > 0.0:
+            raise InputError(f"centrifugal_force: axis is {a.tolist()}, which is no direction")
+        a /= length
+    arm = x - ufl.as_vector(c.tolist())
+    along = ufl.as_vector(a.tolist())
+    return density * speed**2 * (arm - ufl.inner(arm, along) * along)
+
+
+def pressure(p: Any, v: Any, measure: ufl.Measure) -> ufl.Form:
+    """Return the load of a pressure on the undeformed surface, for small strains: -p N . v ds.
+
+    At finite strains `follower_pressure` turns with the surface.
+
+    Parameters
+    ----------
+    p : float or UFL expression
+        The pressure [Pa], positive where it presses on the body.
+    v : ufl.Argument
+        The test function.
+    measure : ufl.Measure
+        The surface: ``ds`` with a tag.
+
+    Returns
+    -------
+    ufl.Form
+        The term to be added to `L`; in axisymmetric problems let p have the factor 2 pi r.
+
+    Examples
+    --------
+    >>> L += pressure(2e5, v, ds(TOP))  # doctest: +SKIP
+    """
+    N = ufl.FacetNormal(v.ufl_function_space().ufl_domain())
+    return -p * ufl.inner(N, v) * measure
 
 
 def follower_pressure(

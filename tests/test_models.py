@@ -10,14 +10,16 @@ import ufl
 from dolfinx import fem
 from dolfinx.mesh import locate_entities_boundary, meshtags
 
-from fenics_tfeti import ContactPair, InputError, TiedPair
+from fenics_tfeti import ContactPair, ContactProblem, InputError, TiedPair
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 from fenics_tfeti.models import (
     axisymmetric_strain,
+    centrifugal_force,
     isotropic,
     neo_hookean,
     neo_hookean_stress,
+    pressure,
     redistributed_density,
     symmetry_plane,
 )
@@ -196,3 +198,70 @@ def test_densities_and_weights_that_are_vectors():
             redistributed_density(bodies.mesh, rho, contacts)
     with pytest.raises(InputError, match=r"measure_weight has shape \(2,\); a scalar"):
         redistributed_density(bodies.mesh, 1.0, contacts, vector)
+
+
+@pytest.mark.parametrize(
+    ("dim", "arguments", "expected"),
+    [
+        (2, {}, (1.5, 0.5)),
+        (2, {"center": (1, 2)}, (0.5, -1.5)),
+        (2, {"axis": (0, 3)}, (1.5, 0.0)),
+        (3, {}, (1.5, 0.5, 0.0)),
+        (3, {"axis": (0, -2, 0), "center": (1, 7, 0)}, (0.5, 0.0, 0.5)),
+        (3, {"axis": (1, 1, 0)}, (0.5, -0.5, 0.5)),
+    ],
+)
+def test_centrifugal_force_points_away_from_the_axis(dim, arguments, expected):
+    """Its mean is that at the middle (1.5, 0.5, 0.5)."""
+    mesh = unit_mesh(dim)
+    force = centrifugal_force(2.0, 3.0, ufl.SpatialCoordinate(mesh), **arguments)
+    np.testing.assert_allclose(components(force, mesh), 18 * np.array(expected), atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"axis": (0, 0)}, r"axis is \[0.0, 0.0\], which is no direction"),
+        ({"axis": (0, 0, 1)}, "axis is .*; 2 finite numbers"),
+        ({"center": (0, np.nan)}, "center is .*; 2 finite numbers"),
+    ],
+)
+def test_axes_of_no_use(arguments, message):
+    x = ufl.SpatialCoordinate(unit_mesh(2))
+    with pytest.raises(InputError, match=f"centrifugal_force: {message}"):
+        centrifugal_force(1.0, 1.0, x, **arguments)
+
+
+A, B = 1.0, 2.0  # radii of a long tube
+
+
+def of_lame(r):
+    """Return the radial displacement by a pressure of 7e-4 within the tube (plane strain)."""
+    return 7e-4 * A**2 / (B**2 - A**2) * (1 + NU) / E * ((1 - 2 * NU) * r + B**2 / r)
+
+
+def of_rotation(r):
+    """Return that by a density of 5e-4 and a speed of 1.2: a disc's, for plane strain."""
+    E1, nu = E / (1 - NU**2), NU / (1 - NU)
+    inner = A**2 + B**2 + (1 + nu) / (1 - nu) * (A * B / r) ** 2 - (1 + nu) / (3 + nu) * r**2
+    return 5e-4 * 1.2**2 * (3 + nu) * (1 - nu) / (8 * E1) * r * inner
+
+
+@pytest.mark.parametrize("exact", [of_lame, of_rotation])
+def test_loads_of_a_tube(exact):
+    made = boxes(MPI.COMM_SELF, [Box((A, 0), (B, 0.1), (24, 1))], "quadrilateral")
+    at = {1: (0, A), 2: (1, 0.0), 3: (1, 0.1)}
+    tags = tag_facets(
+        made.mesh, {k: lambda x, i=i, c=c: np.isclose(x[i], c) for k, (i, c) in at.items()}
+    )
+    V = displacement_space(made.mesh, degree=2)
+    u, v, x = ufl.TrialFunction(V), ufl.TestFunction(V), ufl.SpatialCoordinate(made.mesh)
+    a = ufl.inner(isotropic(E, NU, axisymmetric_strain)(u), axisymmetric_strain(v)) * x[0] * ufl.dx
+    inside = ufl.Measure("ds", domain=made.mesh, subdomain_data=tags)(1)
+    L = pressure(7e-4 * x[0], v, inside)
+    if exact is of_rotation:
+        L = ufl.inner(centrifugal_force(5e-4, 1.2, x, axis=(0, 1)), v) * x[0] * ufl.dx
+    held = [symmetry_plane(V, tags, tag, 1) for tag in (2, 3)]
+    found = ContactProblem(a, L, bcs=held, contacts=[], options={"rtol": 1e-10}).solve()
+    r, displacement = V.tabulate_dof_coordinates()[:, 0], found.x.array.reshape(-1, 2)[:, 0]
+    np.testing.assert_allclose(displacement, exact(r), rtol=2e-6)
