@@ -165,6 +165,20 @@ ALONE = [
 ]
 
 
+# pages on scripts of others, with the physics in their assertions
+SCRIPTS = [
+    "parabola",
+    "circle",
+    "sphere",
+    "block",
+    "indenter",
+    "multipliers",
+    "overlap",
+    "beam",
+    "half_disc",
+    "friction",
+]
+
 RECIPES = ["fluid_pressure", "plasticity", "tape", "temperature", "wear"]
 
 
@@ -187,6 +201,13 @@ def test_pages_that_continue_the_tutorial(page, tutorial):
 )
 def test_pages_of_their_own(page, folder):
     run_blocks((DOCS / "howto" / f"{page}.md").read_text())
+
+
+@pytest.mark.parametrize("page", SCRIPTS)
+def test_scripts(page, folder, monkeypatch):
+    """What the pages compare with is by dolfinx alone, in a module beside them."""
+    monkeypatch.syspath_prepend(DOCS / "scripts")
+    run_blocks((DOCS / "scripts" / f"{page}.md").read_text())
 
 
 def test_temperature():
@@ -250,11 +271,12 @@ def test_all_pages_with_code_are_run():
         *DOCS.glob("*.md"),
         *DOCS.glob("*.rst"),
         *(DOCS / "howto").glob("*"),
+        *(DOCS / "scripts").glob("*.md"),
     ]
     for page in pages:
         if any(cell.kind == "python" for cell in literate.page_cells(page.read_text())):
             named = f'"{page.name}"' in source
-            assert named or page.stem in [*CONTINUING, *ALONE, *RECIPES], page.name
+            assert named or page.stem in [*CONTINUING, *ALONE, *SCRIPTS, *RECIPES], page.name
 
 
 def test_readme(folder):
