@@ -26,6 +26,8 @@ _CELLS = 2**13
 LARGE_GRADIENT = 0.1
 # share of the strain energy that is more than that of corners and point loads
 _SHARE = 0.1
+# rotation over strain from which on a body swings about what holds it
+_SWINGS = 10.0
 
 
 @dataclass(frozen=True)
@@ -149,24 +151,27 @@ def large_gradients(
     if large.sum() <= _SHARE:
         return []
     worst = int(large.argmax())
-    name, columns = bodies.names[worst], np.column_stack([strains.gradient, strains.rotation])
-    gradient, rotation = largest_of_groups(comm, columns, bodies.of_cell, count, 0.0)[worst]
-    if share(strains.strain > LARGE_GRADIENT).sum() > _SHARE:
+    columns = np.column_stack([strains.gradient, strains.rotation, strains.strain])
+    of_bodies = largest_of_groups(comm, columns, bodies.of_cell, count, 0.0)
+    name, (gradient, rotation, strain) = bodies.names[worst], of_bodies[worst]
+    weak = [motion for motion in weak_motions if f"{name}: " in motion]
+    # strains of a linear problem grow with the angle of a motion that next to nothing resists
+    swings = bool(weak) and rotation > _SWINGS * strain
+    if share(strains.strain > LARGE_GRADIENT).sum() > _SHARE and not swings:
         return [
             f"|grad u| is as large as {gradient:.2g} in {name}, and above {LARGE_GRADIENT:g} in "
             f"cells with {large.sum():.0%} of the strain energy; linear elasticity and the contact "
             "conditions are right for |grad u| much smaller than 1 only. Do the units fit, such as "
             "E in Pa with lengths in m, or in MPa with mm?"
         ]
-    weak = [motion for motion in weak_motions if f"{name}: " in motion]
     why = (
         f"nothing but facets holds it ({weak[0]}): add a support or a soft spring"
         if weak
         else "add a support, or take NonlinearContactProblem if it is meant to turn"
     )
     return [
-        f"{name} turns by {np.degrees(rotation):.2g} degrees, with strains that are small. Linear "
-        f"elasticity and the contact conditions are right for small rotations only; {why}"
+        f"{name} turns by {np.degrees(rotation):.2g} degrees, with strains up to {strain:.2g}. "
+        f"Linear elasticity and the contact conditions are right for small rotations only; {why}"
     ]
 
 

@@ -78,6 +78,22 @@ def test_rotation_with_small_strains_is_told_in_degrees(is_weak):
     assert "units" not in text
 
 
+@pytest.mark.parametrize("is_weak", [True, False])
+def test_weak_motion_is_told_in_place_of_units(is_weak):
+    """Where the body turns ten times as far as it is strained, by 0.7 and more."""
+    name = "body 1 (cell tag 2) in [1, 3] x [1.5, 2.5]"
+    weak = [f"{name}: rotation about (1, 1); resisted by tilted normals only"] * is_weak
+
+    def displace(x):
+        above = x[1] > 1.25
+        return above * np.stack([0.5 * x[0] - 9.0 * x[1], 9.0 * x[0] - 0.5 * x[1]])
+
+    (text,) = sentences(displace, (1.0, 1.0), weak)
+    assert text.startswith(f"{name} turns by") == is_weak
+    assert ("with strains up to 0.71" in text) == is_weak
+    assert ("Do the units fit" in text) != is_weak
+
+
 @pytest.mark.parametrize("is_finite", [False, True])
 def test_strains_of_a_rotation(is_finite):
     """The strain of Green and Lagrange of a rotation by any angle is zero."""

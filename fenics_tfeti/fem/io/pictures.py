@@ -26,12 +26,14 @@ from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
-from fenics_tfeti.parallel import meet, raise_collectively
+from fenics_tfeti.parallel import meet, raise_collectively, warn_on_first_rank
 from fenics_tfeti.typing import Vector
 
 _log = logging.getLogger(__name__)
 
 _RENDER = Path(__file__).with_name("_render.py")
+# largest value in MPa or GPa below which stresses in MPa may have been taken for some in Pa
+_TINY = 1e-2
 
 
 def draw_deformed(
@@ -121,6 +123,7 @@ def draw_deformed(
     scene = gather_scene(displacement, [] if colour is None else [colour])
     if limits is None:
         limits = tuple(factor * _range(displacement if colour is None else colour))
+        _look_at_unit(comm, max(map(abs, limits)), unit, units)
     with raise_collectively(comm):
         if scene is not None:
             scale = scene.scale if scale is None else scale
@@ -143,6 +146,16 @@ def draw_deformed(
             for number, obstacle in enumerate(obstacles):
                 data |= _sampled(obstacle, number, scene, scale)
             _render(path, data)
+
+
+def _look_at_unit(comm: MPI.Intracomm, largest: float, unit: str, units: UnitSystem) -> None:
+    """Warn if pressures in SI units are tiny in the unit of the picture. Collective."""
+    if units == "SI" and unit in ("MPa", "GPa") and 0.0 < largest < _TINY:
+        warn_on_first_rank(
+            comm,
+            f"draw_deformed: the largest value is {largest:.2g} {unit}, if the model is in m, N "
+            "and Pa; if it is in mm, N and MPa, pass units='mm-N-MPa'",
+        )
 
 
 def _sampled(obstacle: Obstacle, number: int, scene: Scene, scale: float) -> dict[str, Vector]:

@@ -1,5 +1,6 @@
 """Contact pairs of all bodies that are near each other: which facets, names, roles and warnings."""
 
+import contextlib
 import re
 import warnings
 
@@ -145,6 +146,15 @@ def test_bodies_that_are_left_out():
     found = re.search(r"1 pairs of bodies get no .* body 1 .* body 2 .* distance=(.*)\)", *messages)
     assert len(find_contacts(mesh, made.cell_tags, distance=float(found[1]))) == 3
     assert len(find_contacts(mesh, made.cell_tags, whole_faces=True)) == 3
+
+
+def test_body_alone_is_told():
+    """The warning has what to do for cracks, and for bodies that share nodes."""
+    mesh = boxes(COMM, [Box((0, 0), (1, 1), (3, 3))], "quadrilateral").mesh
+    told = r"one body alone.* itself=True.*split_interfaces"
+    is_first = COMM.rank == 0
+    with pytest.warns(UserWarning, match=told) if is_first else contextlib.nullcontext():
+        assert find_contacts(mesh) == []
 
 
 def test_thin_sheets():

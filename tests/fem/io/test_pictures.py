@@ -3,6 +3,7 @@
 import os
 import re
 import sys
+import warnings
 
 from mpi4py import MPI
 
@@ -80,6 +81,31 @@ def test_colour_bar_has_the_range_of_the_whole_field(tmp_path, monkeypatch):
     assert not drawn["colours"].any()
     draw_deformed(tmp_path / "a.png", u, pressure, unit="MPa", limits=(0, 2))
     assert drawn["limits"].tolist() == [0.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("largest", "options", "told"),
+    [
+        (120.0, {"unit": "MPa"}, True),
+        (120.0, {"unit": "MPa", "units": "mm-N-MPa"}, False),
+        (120.0, {"unit": "kPa"}, False),
+        (120.0, {}, False),
+        (0.0, {"unit": "MPa"}, False),
+        (3e6, {"unit": "MPa"}, False),
+    ],
+)
+def test_stress_in_other_units_is_told(tmp_path, monkeypatch, largest, options, told):
+    """Megapascals that are taken for pascals are tiny in the picture."""
+    monkeypatch.setattr(pictures, "_render", lambda path, data: None)
+    u, stress, _ = fields("triangle")
+    stress.x.array[:] = largest
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        draw_deformed(tmp_path / "a.png", u, stress, **options)
+    messages = [str(warning.message) for warning in caught if warning.category is UserWarning]
+    assert ["0.00012 MPa" in text and "units='mm-N-MPa'" in text for text in messages] == [
+        True
+    ] * told
 
 
 def with_nan(field):

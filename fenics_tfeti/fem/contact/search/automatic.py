@@ -115,7 +115,7 @@ def find_contacts(
     surfaces = _surfaces(comm, opposite.rows, facets, whole_faces)
     contacts = _of_themselves(mesh, facets, bodies, distance, friction) if itself else []
     if not surfaces and not contacts:
-        _warn_of_gaps(comm, facets, bodies)
+        _warn_of_nothing(comm, facets, bodies, itself)
     for number, ((slave, master, side), tagged) in enumerate(surfaces.items()):
         first, second = bodies.labels[slave], bodies.labels[master]
         contacts.append(
@@ -213,8 +213,18 @@ def _may_touch(comm: MPI.Intracomm, opposite: OppositeFacets, bodies: Bodies) ->
     return may_touch
 
 
-def _warn_of_gaps(comm: MPI.Intracomm, facets: ExteriorFacets, bodies: Bodies) -> None:
+def _warn_of_nothing(
+    comm: MPI.Intracomm, facets: ExteriorFacets, bodies: Bodies, itself: bool
+) -> None:
     """Warn that there are no contacts, and say how far apart the nearest bodies are. Collective."""
+    if len(bodies.names) == 1 and not itself:
+        warn_on_first_rank(
+            comm,
+            "find_contacts: there is one body alone, which gets no contact. Parts of it that face "
+            "each other are paired with itself=True; bodies that share nodes are one body until "
+            "fenics_tfeti.io.split_interfaces gives them nodes of their own",
+        )
+        return
     reach = _FAR * largest_of_ranks(comm, edge_lengths(facets.corners))
     found = OppositeFacets.find(comm, facets, reach)
     first, second = bodies.part[found.rows[:, :2]].T
