@@ -16,7 +16,7 @@ from fenics_tfeti.fem.io.fields import (
 from fenics_tfeti.fem.io.gmsh import read_msh
 from fenics_tfeti.fem.io.interfaces import Interface, split_interfaces
 from fenics_tfeti.fem.io.mesh_files import read_mesh
-from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile
+from fenics_tfeti.fem.io.pictures import draw_deformed, draw_profile, write_gif
 from fenics_tfeti.fem.io.refinement import refine, set_mesh_sizes
 from fenics_tfeti.fem.io.structured import Box, boxes, tag_facets
 from fenics_tfeti.fem.io.tagged_mesh import TaggedMesh
@@ -42,4 +42,5 @@ __all__ = [
     "tag_facets",
     "von_mises",
     "write_fields",
+    "write_gif",
 ]

@@ -32,7 +32,7 @@ from fenics_tfeti.fem.contact.descriptions.arguments import (
     as_displacement,
     as_rigid_bodies,
 )
-from fenics_tfeti.fem.contact.descriptions.contacts import SelfContact
+from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle, SelfContact
 from fenics_tfeti.fem.contact.rigid.frames import RigidBodies
 from fenics_tfeti.fem.contact.search.automatic import find_contacts
 from fenics_tfeti.fem.contact.solution.apart import wrong_side
@@ -41,6 +41,8 @@ from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
 from fenics_tfeti.fem.contact.solution.transfer import SolvedContact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values, space_of_forms
 from fenics_tfeti.fem.gradients import CellStrains
+from fenics_tfeti.fem.io.fields import contact_fields
+from fenics_tfeti.fem.io.pictures import draw_deformed
 from fenics_tfeti.fem.torn_problem import TornProblem
 from fenics_tfeti.feti import Timer, TornSolution, TornSolver
 from fenics_tfeti.findings import (
@@ -182,6 +184,51 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             self._solved.obstacle_displacements(), self._solved.damage()
         )
         self._is_solved = False
+
+    def draw(
+        self, path: str | os.PathLike[str], colour: Function | None = None, **options: Any
+    ) -> None:
+        """Draw the deformed bodies, by default coloured by the contact pressure. Collective.
+
+        Parameters
+        ----------
+        path : path-like
+            The .png file.
+        colour : dolfinx.fem.Function, optional
+            Another scalar. By default the contact pressure on the slaves, or the size of the
+            displacement where nothing presses, in the unit that suits its largest value.
+        **options
+            Those of `fenics_tfeti.io.draw_deformed`, such as `section`, `cells` and `limits`. With
+            finite strains the scale is 1 by default, and rigid obstacles that do not move are
+            drawn.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved, or an argument is wrong; see `draw_deformed` for other errors.
+
+        Examples
+        --------
+        >>> problem.draw("pressure.png", cells=cell_tags.find(1))  # doctest: +SKIP
+        """
+        units = self.report.units
+        defaults: dict[str, Any] = {"units": self.options.units}
+        if self._has_finite_strains:
+            defaults["scale"] = 1.0
+        defaults["obstacles"] = [
+            contact.obstacle
+            for contact in self.contacts
+            if isinstance(contact, RigidObstacle)
+            and contact.displacement is None
+            and contact.rigid_body is None
+        ]
+        if colour is None:
+            pressure = contact_fields(self.space, self.results).pressure
+            largest = largest_of_ranks(self.space.mesh.comm, pressure.x.array)
+            quantity, colour = ("pressure", pressure) if largest > 0.0 else ("length", None)
+            largest = largest if largest > 0.0 else self.report.largest_displacement
+            defaults["unit"] = units.readable(quantity, largest)
+        draw_deformed(path, self.u, colour, **defaults | options)
 
     def reset_slip(self) -> None:
         """Count slip in the next solve as in the first one.

@@ -148,6 +148,7 @@ CONTINUING = [
     "load_steps",
     "mpi",
     "report",
+    "pictures",
     "convergence",
     "errors",
 ]

@@ -29,10 +29,23 @@ DPI = 200
 
 
 def build_surface(data: Any) -> pyvista.PolyData:
-    """Return the undeformed outer faces with their colours."""
-    faces, colours = data["faces"], data["colours"]
-    rows = np.column_stack([np.full(len(faces), faces.shape[1]), faces])
-    surface = pyvista.PolyData(data["points"], rows.ravel())
+    """Return the undeformed outer faces, or those of the bodies as cut, with their colours."""
+    faces = data["faces"]
+    if "section" not in data:
+        rows = np.column_stack([np.full(len(faces), faces.shape[1]), faces])
+        return with_fields(pyvista.PolyData(data["points"], rows.ravel()), data)
+    is_tetrahedron = faces.shape[1] == 4
+    kind = pyvista.CellType.TETRA if is_tetrahedron else pyvista.CellType.HEXAHEDRON
+    around = faces if is_tetrahedron else faces[:, [0, 1, 3, 2, 4, 5, 7, 6]]
+    cells = with_fields(pyvista.UnstructuredGrid({kind: around}, data["points"]), data)
+    point, normal = data["section"]
+    outside = cells.extract_surface().clip(normal=normal, origin=point)
+    return outside.append_polydata(cells.slice(normal=normal, origin=point))
+
+
+def with_fields(surface: pyvista.DataSet, data: Any) -> pyvista.DataSet:
+    """Add the colours and the displacement to a mesh."""
+    colours = data["colours"]
     target = surface.point_data if colours.ndim == 1 else surface.cell_data
     target["colours"] = colours.ravel()
     surface.point_data["displacement"] = data["displacement"]
@@ -130,13 +143,14 @@ def compose(data: Any, image: Image, limits: tuple[float, float], path: str) -> 
     FigureCanvasAgg(figure)
     figure.text(0.04, 0.95, str(data["title"]), fontsize=13, color=INK, va="top")
     figure.text(0.04, 0.04, str(data["note"]), fontsize=8, color=OUTLINE, va="bottom")
-    # up to the label of the colour bar
-    axes = figure.add_axes((0.03, 0.08, 0.78, 0.83 if str(data["title"]) else 0.89))
+    # up to the label of the colour bar, and below the title
+    axes = figure.add_axes((0.03, 0.09, 0.78, 0.78 if str(data["title"]) else 0.88))
     axes.imshow(image, interpolation="lanczos")
     axes.set_axis_off()
     bar_axes = figure.add_axes((0.885, 0.16, 0.018, 0.6))
     mappable = ScalarMappable(Normalize(*limits), str(data["colour_map"]))
-    bar = figure.colorbar(mappable, cax=bar_axes)
+    extend = "max" if bool(data["exceeded"]) else "neither"
+    bar = figure.colorbar(mappable, cax=bar_axes, extend=extend)
     bar.outline.set_visible(False)
     bar.ax.tick_params(labelsize=8, colors=INK, length=2)
     label = textwrap.fill(str(data["label"]), 14)

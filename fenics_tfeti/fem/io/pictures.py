@@ -26,7 +26,12 @@ from fenics_tfeti.fem.io.units import UnitSystem, units_of
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.user_data import is_number
 from fenics_tfeti.feti.files.arrays import folder_of, write_arrays, write_whole
-from fenics_tfeti.parallel import meet, raise_collectively, warn_on_first_rank
+from fenics_tfeti.parallel import (
+    concatenate_ranks,
+    meet,
+    raise_collectively,
+    warn_on_first_rank,
+)
 from fenics_tfeti.typing import Vector
 
 _log = logging.getLogger(__name__)
@@ -47,6 +52,8 @@ def draw_deformed(
     title: str = "",
     scale: float | None = None,
     obstacles: Sequence[Obstacle] = (),
+    cells: Any | None = None,
+    section: Sequence[Sequence[float]] | None = None,
     camera: Sequence[float] = (-0.6, -1.0, 0.55),
     colour_map: str = "YlOrRd",
     limits: tuple[float, float] | None = None,
@@ -82,6 +89,12 @@ def draw_deformed(
     obstacles : sequence of callables
         Rigid obstacles as those of `RigidObstacle`, drawn in grey where they are, as far as the
         bodies reach.
+    cells : array of int, optional
+        Local numbers of the cells to draw, by default all. Without one of two bodies that touch, as
+        in ``cell_tags.find(2)``, the contact surface of the other one is seen.
+    section : pair of 3 floats each, optional
+        A point of a plane and its normal: the undeformed bodies are cut by the plane, and what the
+        normal points to is left out. In three dimensions; cells have straight edges there.
     camera : sequence of 3 floats
         Direction from the mesh to the viewer; the z axis points up. In two dimensions the view
         is along the z axis.
@@ -89,8 +102,10 @@ def draw_deformed(
         A colour map of Matplotlib.
     limits : tuple of 2 floats, optional
         What the ends of the colour bar stand for, in its unit; values beyond have the colours of
-        the ends. By default they are the least and the largest value. Pictures of one animation
-        should have the same.
+        the ends. By default the lower end is the least value, and the upper one is that which
+        0.5 % of the values above the least exceed, so that a singular cell does not make all else
+        pale; the largest value is written below then. Pictures of one animation should have the
+        same limits.
     size : tuple of int
         Width and height [pixels].
 
@@ -118,12 +133,16 @@ def draw_deformed(
         _check_path(path)
         factor = units_of(units).factor(unit)
         _check_limits(limits)
+        _check_section(section, displacement)
         if comm.rank == 0:
             _require("pyvista")
-    scene = gather_scene(displacement, [] if colour is None else [colour])
+    fields = [] if colour is None else [colour]
+    numbers = None if cells is None else np.asarray(cells, dtype=np.int64)
+    scene = gather_scene(displacement, fields, numbers, section is not None)
+    low, most, high = factor * _range(displacement if colour is None else colour)
     if limits is None:
-        limits = tuple(factor * _range(displacement if colour is None else colour))
-        _look_at_unit(comm, max(map(abs, limits)), unit, units)
+        _look_at_unit(comm, max(abs(low), abs(high)), unit, units)
+    low, most = (low, most) if limits is None else limits
     with raise_collectively(comm):
         if scene is not None:
             scale = scene.scale if scale is None else scale
@@ -134,15 +153,18 @@ def draw_deformed(
                 "displacement": scene.displacement,
                 "faces": scene.faces,
                 "colours": values * factor,
-                "limits": np.asarray(limits, dtype=float),
+                "limits": np.array([low, most], dtype=float),
+                "exceeded": high > most,
                 "scale": scale,
                 "title": title,
                 "label": f"{name} [{unit}]" if unit else name,
-                "note": f"displacements × {scale:g}; grey lines: undeformed",
+                "note": _note(scale, f"{high:.3g} {unit}".rstrip() if high > most else ""),
                 "camera": np.asarray(camera, dtype=float),
                 "colour_map": colour_map,
                 "size": np.asarray(size),
             }
+            if section is not None:
+                data["section"] = np.asarray(section, dtype=float)
             for number, obstacle in enumerate(obstacles):
                 data |= _sampled(obstacle, number, scene, scale)
             _render(path, data)
@@ -173,12 +195,27 @@ def _sampled(obstacle: Obstacle, number: int, scene: Scene, scale: float) -> dic
     return {f"gaps {number}": gap.reshape(grid.shape[1:]), f"axes {number}": axes}
 
 
+def _note(scale: float, largest: str) -> str:
+    """Return what stands below a picture."""
+    return f"displacements × {scale:g}; grey lines: undeformed" + (
+        f"; the largest value is {largest}" if largest else ""
+    )
+
+
 def _range(field: Function) -> Vector:
-    """Return the least and the largest value of a scalar, or size of a vector. Collective."""
-    comm, rows = field.function_space.mesh.comm, NodeMap(field.function_space).values(field)
+    """Return three values of a scalar, or sizes of a vector. Collective.
+
+    They are the least one, that which few of the values above the least exceed, and the largest.
+    """
+    share = 0.995  # of the values, below the upper end of the colour bar
+    nodes = NodeMap(field.function_space)
+    rows = nodes.values(field)[: nodes.owned]
     values = rows.ravel() if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
-    low = comm.allreduce(float(values.min(initial=np.inf)), MPI.MIN)
-    return np.array([low, comm.allreduce(float(values.max(initial=-np.inf)), MPI.MAX)])
+    values = concatenate_ranks(field.function_space.mesh.comm, values)
+    low, high = values.min(), values.max()
+    above = values[values > low]
+    most = np.quantile(above, share, method="higher") if above.size else high
+    return np.array([low, most, high])
 
 
 def draw_profile(
@@ -228,6 +265,77 @@ def draw_profile(
             points = {name: _points(name, curve) for name, curve in curves.items()}
             picture = _plot(points, xlabel, ylabel, title)
             _write(path, picture)
+
+
+def write_gif(
+    path: str | os.PathLike[str],
+    pictures: Sequence[str | os.PathLike[str]],
+    *,
+    seconds: float = 0.25,
+    width: int = 720,
+    comm: MPI.Intracomm = MPI.COMM_WORLD,
+) -> None:
+    """Join pictures, such as those of load steps, to an animation. Collective.
+
+    The last picture stays six times as long as the others, and the animation begins again.
+
+    Parameters
+    ----------
+    path : path-like
+        The .gif file. Its folder is created if it does not exist.
+    pictures : sequence of path-like
+        PNG files of the same size, as `draw_deformed` writes them, in their order.
+    seconds : float
+        How long each picture is shown [s].
+    width : int
+        Width of the animation [pixels].
+    comm : MPI.Comm
+        The ranks that call; rank 0 reads and writes.
+
+    Raises
+    ------
+    InputError
+        If there are no pictures, or an argument is wrong.
+    OSError
+        If a picture cannot be read, or the file cannot be written.
+    ImportError
+        If Pillow is missing. All errors are raised on all ranks.
+
+    Examples
+    --------
+    >>> for step, load.value in enumerate(loads):  # doctest: +SKIP
+    ...     problem.solve()
+    ...     problem.draw(f"step_{step:03}.png", limits=(0, 5))
+    >>> write_gif("steps.gif", sorted(Path().glob("step_*.png")))  # doctest: +SKIP
+    """
+    path = Path(path)
+    meet(comm, "write_gif()")
+    with raise_collectively(comm):
+        if path.suffix != ".gif":
+            raise InputError(f"'{path}' does not end in .gif, the only supported format")
+        check_value(is_number(seconds) and seconds > 0, "write_gif: seconds", seconds, "seconds")
+        if comm.rank == 0:
+            _require("PIL", "pillow")
+            if not len(pictures):
+                raise InputError("there are no pictures to join: pass at least one")
+            _write(path, _joined([Path(picture) for picture in pictures], seconds, width))
+
+
+def _joined(pictures: Sequence[Path], seconds: float, width: int) -> bytes:
+    """Return an animation with few colours as a GIF file."""
+    from PIL import Image
+
+    colours, milliseconds = 64, round(1000 * seconds)
+    frames = []
+    for picture in pictures:
+        with Image.open(picture) as image:
+            height = round(image.height * width / image.width)
+            frame = image.convert("RGB").resize((width, height))
+            frames.append(frame.quantize(colours, Image.Quantize.FASTOCTREE))
+    times = [milliseconds] * (len(frames) - 1) + [6 * milliseconds]
+    animation, (first, *others) = BytesIO(), frames
+    first.save(animation, format="GIF", save_all=True, append_images=others, duration=times, loop=0)
+    return animation.getvalue()
 
 
 def _render(path: Path, data: dict[str, Any]) -> None:
@@ -314,17 +422,28 @@ def _check_limits(limits: Any) -> None:
     check_value(fits, "draw_deformed: limits", limits, "two numbers, the smaller one first")
 
 
+def _check_section(section: Any, displacement: Function) -> None:
+    if section is None:
+        return
+    if displacement.function_space.mesh.geometry.dim == 2:
+        raise InputError("draw_deformed: a section is for bodies in three dimensions")
+    plane = np.asarray(section, dtype=float)
+    fits = plane.shape == (2, 3) and np.all(np.isfinite(plane)) and plane[1].any()
+    expected = "a point and a normal of 3 numbers each"
+    check_value(bool(fits), "draw_deformed: section", section, expected)
+
+
 def _check_path(path: Path) -> None:
     if path.suffix != ".png":
         raise InputError(f"'{path}' does not end in .png, the only supported format")
 
 
-def _require(module: str) -> None:
+def _require(module: str, package: str = "") -> None:
     """Check that a module is installed, without importing it."""
     if importlib.util.find_spec(module) is None:
         # without the limit, pip may install a NumPy too new for installed compiled modules
         limit = int(np.__version__.split(".")[0]) + 1
         raise ImportError(
             f"this picture needs the Python module {module}; install it with "
-            f"'pip install {module} \"numpy<{limit}\"'"
+            f"'pip install {package or module} \"numpy<{limit}\"'"
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -17,16 +18,19 @@ from fenics_tfeti.fem.io.fields import field_degree, raised_to_degree
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.fem.topology import cell_facets, cell_type, exterior_cell_facets, owned_cells
 from fenics_tfeti.parallel import raise_collectively
-from fenics_tfeti.typing import Indices, Numbers, Vector
+from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Outer faces, or the cells in two dimensions; those of degree 2 cut at their nodes."""
+    """Outer faces, or the cells in two dimensions; those of degree 2 cut at their nodes.
+
+    For a section they are the cells in space, of dolfinx's order of vertices, with straight edges.
+    """
 
     points: Vector  # (n, 3) [m]
     displacement: Vector  # (n, 3) [m]
-    faces: Numbers  # (m, 3 or 4) corners, counterclockwise from outside
+    faces: Numbers  # (m, 3 or 4) corners, counterclockwise from outside; (m, 4 or 8) of cells
     fields: dict[str, Vector]  # by name: of nodes (n,), or of faces (m, 1)
     flat: bool  # a mesh of two dimensions
 
@@ -56,26 +60,41 @@ class Scene:
         return replace(self, faces=halves, fields=fields)
 
 
-def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Scene | None:
+def gather_scene(
+    displacement: Function,
+    fields: Sequence[Function] = (),
+    cells: Numbers | None = None,
+    solid: bool = False,
+) -> Scene | None:
     """Gather the outer faces on rank 0; the other ranks get None. Collective.
 
     The displacement is continuous of degree 1 or 2, fields are scalars, continuous or constant on
     each cell; what is wrong of them raises an `InputError` on all ranks. The first field of the
-    scene is the size of the displacement.
+    scene is the size of the displacement. `cells` are local numbers of those whose faces are
+    gathered, all by default; with `solid` the cells themselves are.
     """
     mesh = displacement.function_space.mesh
     with raise_collectively(mesh.comm):
         _check_displacement(displacement)
         for field in fields:
             _check_colour(displacement, field)
-    degree = max(_compat.geometry_degree(mesh), *map(field_degree, (displacement, *fields)), 1)
-    displacement, *raised = (raised_to_degree(field, degree) for field in (displacement, *fields))
-    nodes, place = NodeMap(displacement.function_space), _face_dofs(displacement.function_space)
+    drawn = np.ones(owned_cells(mesh), dtype=bool)
+    if cells is not None:
+        drawn[:] = False
+        drawn[cells[cells < drawn.size]] = True
+    raised, dofs = list(fields), partial(_corner_dofs, drawn=drawn)
+    if not solid:
+        degree = max(_compat.geometry_degree(mesh), *map(field_degree, (displacement, *fields)), 1)
+        displacement, *raised = (
+            raised_to_degree(field, degree) for field in (displacement, *fields)
+        )
+        dofs = partial(_face_dofs, drawn=drawn)
+    nodes, place = NodeMap(displacement.function_space), dofs(displacement.function_space)
     columns = [
         nodes.to_global(place),
         nodes.space.tabulate_dof_coordinates()[place],
         nodes.values(displacement)[place],
-        *(field.x.array[_face_dofs(field.function_space)] for field in raised),
+        *(field.x.array[dofs(field.function_space)] for field in raised),
     ]
     ranks = mesh.comm.gather(columns)
     if ranks is None:
@@ -84,8 +103,10 @@ def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Sce
     _, first, row = np.unique(numbers, return_index=True, return_inverse=True)
     gdim = mesh.geometry.dim
     points, moves = x.reshape(-1, 3)[first], u.reshape(-1, gdim)[first]
-    drawn = Facets(points, row.reshape(numbers.shape))
-    faces = drawn.pieces
+    faces, per_face = row.reshape(numbers.shape), 1
+    if not solid:
+        facets = Facets(points, faces)
+        faces, per_face = facets.pieces, facets.per_facet
     if gdim == 2:
         a, b, c = np.moveaxis(points[faces[:, :3]], 1, 0)
         clockwise = np.cross(b - a, c - a)[:, 2] < 0.0
@@ -93,23 +114,27 @@ def gather_scene(displacement: Function, fields: Sequence[Function] = ()) -> Sce
     values = {"displacement": np.linalg.norm(moves, axis=1)}
     for field, rows in zip(fields, colours, strict=True):
         by_face = rows.shape[1] == 1
-        values[field.name] = (
-            np.repeat(rows, drawn.per_facet, axis=0) if by_face else rows.ravel()[first]
-        )
+        values[field.name] = np.repeat(rows, per_face, axis=0) if by_face else rows.ravel()[first]
     return Scene(points, np.pad(moves, ((0, 0), (0, 3 - gdim))), faces, values, gdim == 2)
 
 
-def _face_dofs(space: FunctionSpace) -> Indices:
-    """Return the local nodes (f, t) of a space around the faces of this rank's cells, as `Facets`.
+def _corner_dofs(space: FunctionSpace, drawn: Mask) -> Indices:
+    """Return the local nodes of a space at the vertices of cells, or the one of a constant."""
+    degree, dofs = _compat.element_facts(space)[1], _compat.cell_dofs(space)
+    return dofs[: drawn.size][drawn][:, : cell_type(space.mesh).vertices if degree else 1]
+
+
+def _face_dofs(space: FunctionSpace, drawn: Mask) -> Indices:
+    """Return the local nodes (f, t) of a space around the faces of drawn cells, as `Facets`.
 
     Faces are those without a neighbour, or the cells in two dimensions. Constants on cells have one
     node in each.
     """
     mesh, degree = space.mesh, _compat.element_facts(space)[1]
     if mesh.topology.dim == 2:
-        cells = _compat.cell_dofs(space)[: owned_cells(mesh)]
+        cells = _compat.cell_dofs(space)[: drawn.size][drawn]
         return cells if degree == 0 else cells[:, cell_type(mesh).around(degree)]
-    cell, facet = np.nonzero(exterior_cell_facets(mesh))
+    cell, facet = np.nonzero(exterior_cell_facets(mesh) & drawn[:, None])
     if degree == 0:
         return _compat.cell_dofs(space)[cell]
     return oriented_facets(space, cell_facets(mesh)[cell, facet])

@@ -40,6 +40,15 @@ class Units:
         known = ", ".join(unit for units in _IN_SI.values() for unit in units)
         raise InputError(f"unknown unit '{unit}'; choose one of {known}")
 
+    def readable(self, quantity: str, largest: float) -> str:
+        """Return the largest unit of a length, pressure or force in which a value is 1 or more.
+
+        It is the unit of this system if the value is less than 1 in all of them.
+        """
+        own = getattr(self, quantity)
+        fitting = [unit for unit in _IN_SI[quantity] if largest * self.factor(unit) >= 1.0]
+        return max(fitting, key=_IN_SI[quantity].__getitem__, default=own)
+
 
 _SYSTEMS: dict[str, Units] = {
     "SI": Units("m", "N", "Pa", "J", "N m"),

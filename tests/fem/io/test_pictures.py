@@ -9,15 +9,26 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
+from PIL import Image
 from scenes import dimension
 
+import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Plane
+from fenics_tfeti import ContactProblem, Plane, RigidObstacle
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.io import pictures
-from fenics_tfeti.io import Box, boxes, draw_deformed, draw_profile
+from fenics_tfeti.io import (
+    Box,
+    boxes,
+    displacement_space,
+    draw_deformed,
+    draw_profile,
+    tag_facets,
+    write_gif,
+)
+from fenics_tfeti.models import isotropic
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -108,6 +119,73 @@ def test_stress_in_other_units_is_told(tmp_path, monkeypatch, largest, options, 
     ] * told
 
 
+def test_few_large_values_do_not_make_all_else_pale(tmp_path, monkeypatch):
+    """Of 4,000 cells 10 have a value a hundred times as large, which the note tells."""
+    drawn = {}
+    monkeypatch.setattr(pictures, "_render", lambda path, data: drawn.update(data))
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (80, 50))], "quadrilateral").mesh
+    u = fem.Function(_compat.lagrange_space(mesh, 1, 2), name="u")
+    stress = fem.Function(_compat.lagrange_space(mesh, 0, discontinuous=True), name="stress")
+    stress.x.array[:] = np.linspace(0.0, 1e6, stress.x.array.size)
+    stress.x.array[:10] = 1e8
+    draw_deformed(tmp_path / "a.png", u, stress, unit="MPa")
+    assert drawn["limits"] == pytest.approx([0.0, 1.0], abs=0.01) and drawn["exceeded"]
+    assert drawn["note"].endswith("the largest value is 100 MPa")
+
+
+@pytest.mark.parametrize(("pressed", "label"), [(-1e-3, "contact pressure [MPa]"), (1e-3, "")])
+def test_problem_is_drawn_with_its_pressure_and_obstacles(tmp_path, monkeypatch, pressed, label):
+    """Without a contact force the displacement is."""
+    drawn = {}
+    monkeypatch.setattr(pictures, "_render", lambda path, data: drawn.update(data))
+    mesh = boxes(MPI.COMM_SELF, [Box((0, 0), (1, 1), (2, 2))], "quadrilateral").mesh
+    tags = tag_facets(mesh, {1: lambda x: np.isclose(x[1], 0), 2: lambda x: np.isclose(x[1], 1)})
+    V = displacement_space(mesh)
+    u, v = ufl.TrialFunction(V), ufl.TestFunction(V)
+    top = fem.locate_dofs_topological(V, 1, tags.find(2))
+    problem = ContactProblem(
+        ufl.inner(isotropic(2e9, 0.0)(u), ufl.grad(v)) * ufl.dx,
+        ufl.inner(fem.Constant(mesh, np.zeros(2)), v) * ufl.dx,
+        bcs=[fem.dirichletbc(np.array([0.0, pressed]), top, V)],
+        contacts=[RigidObstacle(tags, 1, Plane((0, 0), (0, 1)))],
+    )
+    problem.solve()
+    problem.draw(tmp_path / "a.png", scale=1)
+    assert drawn["label"] == (label or "displacement [mm]") and "gaps 0" in drawn
+    # 2 GPa times a strain of 1e-3, or 1 mm
+    assert drawn["colours"].max() == pytest.approx(2.0 if label else 1.0)
+
+
+def test_pictures_are_joined(tmp_path):
+    paths = [tmp_path / f"{number}.png" for number in range(3)]
+    for number, path in enumerate(paths):
+        Image.new("RGB", (40, 20), (80 * number, 0, 0)).save(path)
+    write_gif(tmp_path / "new" / "a.gif", paths, seconds=0.1, width=20)
+    with Image.open(tmp_path / "new" / "a.gif") as joined:
+        assert joined.size == (20, 10) and joined.n_frames == 3
+        times = []
+        for frame in range(3):
+            joined.seek(frame)
+            times.append(joined.info["duration"])
+            assert joined.convert("RGB").getpixel((5, 5))[0] == pytest.approx(80 * frame, abs=8)
+    assert times == [100, 100, 600]
+
+
+@pytest.mark.parametrize(
+    ("message", "path", "given"),
+    [
+        ("does not end in .gif", "a.png", {"pictures": ["b.png"]}),
+        ("there are no pictures to join", "a.gif", {"pictures": []}),
+        ("write_gif: seconds is 0", "a.gif", {"pictures": ["b.png"], "seconds": 0}),
+    ],
+)
+def test_wrong_animations(tmp_path, monkeypatch, message, path, given):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=re.escape(message)):
+        write_gif(path, **given)
+    assert list(tmp_path.iterdir()) == []
+
+
 def with_nan(field):
     field.x.array[1] = np.nan
     return field
@@ -125,6 +203,10 @@ def with_nan(field):
         (
             "limits is (2, 1); two numbers, the smaller one first",
             lambda u, p, s: {"limits": (2, 1)},
+        ),
+        (
+            "a section is for bodies in three dimensions",
+            lambda u, p, s: {"section": ((0, 0, 0), (1, 0, 0))},
         ),
     ],
 )

@@ -103,6 +103,39 @@ def test_corners_of_a_face_are_next_to_each_other(cell):
     assert np.all(np.count_nonzero(np.abs(steps) > 1e-12, axis=2) == 1)
 
 
+@pytest.mark.parametrize("cell", ["triangle", "hexahedron"])
+def test_faces_of_some_cells(cell):
+    """Those of the upper beam, which is 2 m long."""
+    u, space = displaced(cell), scenes.beams(COMM, cell, 2)
+    cells = space.cell_tags.find(2)
+    scene = gather_scene(u, cells=cells)
+    flat = scene.flat
+    assert np.ptp(scene.points[:, 2 - flat]) == pytest.approx(1.0)
+    area = np.linalg.norm(areas(scene.triangulated()), axis=1).sum()
+    assert area == pytest.approx(2.0 if flat else 10.0)
+
+
+@pytest.mark.filterwarnings("ignore:The default value of `algorithm`")
+@pytest.mark.parametrize("degree", [1, 2])
+@pytest.mark.parametrize("cell", ["tetrahedron", "hexahedron"])
+def test_cut_bodies_have_the_section_and_its_values(cell, degree):
+    """The lower beam is cut at x = 0.3 m; the displacement there is 3 mm."""
+    render = pytest.importorskip("fenics_tfeti.fem.io._render")
+    u = displaced(cell, degree)
+    by_node = fem.Function(_compat.lagrange_space(u.function_space.mesh, degree), name="x")
+    by_node.interpolate(lambda x: x[0])
+    scene = gather_scene(u, [by_node], scenes.beams(COMM, cell, 2).cell_tags.find(1), solid=True)
+    data = {"points": scene.points, "displacement": scene.displacement, "faces": scene.faces}
+    data |= {"colours": scene.fields["x"], "section": np.array([[0.3, 0, 0], [1, 0, 0]])}
+    surface = render.build_surface(data)
+    # of the box 0.3 m x 1 m x 1 m
+    assert surface.area == pytest.approx(2 * (1.0 + 0.3 + 0.3))
+    assert surface.bounds[1] == pytest.approx(0.3)
+    x = surface.points[:, 0]
+    assert surface.point_data["colours"] == pytest.approx(x, abs=1e-6)
+    assert surface.point_data["displacement"][:, 0] == pytest.approx(0.01 * x, abs=1e-8)
+
+
 @pytest.mark.parametrize(
     ("largest", "scale"),
     [(0.3, 1.0), (0.15, 2.0), (0.29, 1.0), (1.5e-3, 200.0), (1.0, 1.0), (10.5, 1.0), (0, 1)],
