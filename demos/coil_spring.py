@@ -29,7 +29,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from PIL import Image
 
 import ufl
 from dolfinx import fem
@@ -39,10 +38,10 @@ from fenics_tfeti.io import (
     Box,
     boxes,
     displacement_space,
-    draw_deformed,
     draw_profile,
     tag_facets,
     von_mises,
+    write_gif,
 )
 from fenics_tfeti.models import neo_hookean, neo_hookean_stress
 
@@ -94,6 +93,20 @@ problem = NonlinearContactProblem(
 (part,) = map(float, sys.argv[1:] or [1.2])
 free = (pitch - edge) * turns
 travel, force, pictures, newton = [0.0], [0.0], [], 0
+
+
+def draw(path, step):
+    """Draw the spring, pressed by a step [m]."""
+    problem.draw(
+        path,
+        von_mises(mesh, neo_hookean_stress(E, nu)(u)),
+        label="von Mises stress",
+        unit="MPa",
+        title=f"A coil spring, pressed by {step / mm:.1f} mm",
+        limits=(0, 1500),
+    )
+
+
 for step in np.arange(0.1, part + 0.01, 0.1) * free:
     motion.x.array.reshape(-1, 3)[:, 2] = -step
     problem.solve()
@@ -101,19 +114,8 @@ for step in np.arange(0.1, part + 0.01, 0.1) * free:
     travel.append(step)
     force.append(problem.report.reactions[0].force[2])
     newton += len(problem.report.newton)
-    draw_deformed(
-        results / "coil_spring.png",
-        u,
-        von_mises(mesh, neo_hookean_stress(E, nu)(u)),
-        label="von Mises stress",
-        unit="MPa",
-        title=f"A coil spring, pressed by {step / mm:.1f} mm",
-        scale=1,
-        limits=(0, 1500),
-    )
-    if comm.rank == 0:
-        picture = Image.open(results / "coil_spring.png")
-        pictures.append(picture.convert("RGB").resize((720, 450)))
+    pictures.append(results / "coil_spring" / f"{len(pictures):02}.png")
+    draw(pictures[-1], step)
 
 G = E / (2 * (1 + nu))
 rate = 0.1406 * G * edge**4 / (2 * np.pi * turns * R**3)
@@ -125,12 +127,8 @@ if comm.rank == 0:
 
 # ## Animation, and the force over the travel
 
-if comm.rank == 0:
-    first, *others = (picture.quantize(64, Image.Quantize.FASTOCTREE) for picture in pictures)
-    times = [250] * len(others) + [1500]  # milliseconds
-    first.save(
-        results / "coil_spring.gif", save_all=True, append_images=others, duration=times, loop=0
-    )
+write_gif(results / "coil_spring.gif", pictures)
+draw(results / "coil_spring.png", travel[-1])
 way = np.array(travel) / mm
 draw_profile(
     results / "coil_spring_force.png",

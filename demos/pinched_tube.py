@@ -25,7 +25,6 @@ from pathlib import Path
 from mpi4py import MPI
 
 import numpy as np
-from PIL import Image
 
 import ufl
 from dolfinx import fem
@@ -35,10 +34,10 @@ from fenics_tfeti.io import (
     Box,
     boxes,
     displacement_space,
-    draw_deformed,
     draw_profile,
     tag_facets,
     von_mises,
+    write_gif,
 )
 from fenics_tfeti.models import neo_hookean, neo_hookean_stress, symmetry_plane
 
@@ -103,6 +102,20 @@ problem = NonlinearContactProblem(
 (end,) = map(float, sys.argv[1:] or [0.97])
 parts = [*np.arange(0.1, 0.85, 0.1), *np.arange(0.85, 0.92, 0.02), *np.arange(0.92, 0.975, 0.01)]
 way, force, walls, pictures, newton = [0.0], [0.0], [0.0], [], 0
+
+
+def draw(path, part):
+    """Draw the tube, closed by a part of its height."""
+    problem.draw(
+        path,
+        von_mises(mesh, neo_hookean_stress(E, nu)(u)),
+        label="von Mises stress",
+        unit="kPa",
+        title=f"Half of a tube, closed by {part:.0%}",
+        limits=(0, 500),
+    )
+
+
 for part in [part for part in parts if part < end + 1e-9]:
     closed["part"] = part
     problem.solve()
@@ -111,20 +124,8 @@ for part in [part for part in parts if part < end + 1e-9]:
     force.append(-2 * problem.results["upper bar"].force[1])
     walls.append(2 * abs(problem.results["wall"].force[1]))
     newton += len(problem.report.newton)
-    draw_deformed(
-        results / "pinched_tube.png",
-        u,
-        von_mises(mesh, neo_hookean_stress(E, nu)(u)),
-        label="von Mises stress",
-        unit="kPa",
-        title=f"Half of a tube, closed by {part:.0%}",
-        scale=1,
-        limits=(0, 500),
-        obstacles=[above, below],
-    )
-    if comm.rank == 0:
-        picture = Image.open(results / "pinched_tube.png")
-        pictures.append(picture.convert("RGB").resize((720, 450)))
+    pictures.append(results / "pinched_tube" / f"{len(pictures):02}.png")
+    draw(pictures[-1], part)
 
 depth = problem.report.contacts[2].penetration
 if comm.rank == 0:
@@ -136,12 +137,8 @@ if comm.rank == 0:
 
 # ## Animation, and the forces
 
-if comm.rank == 0:
-    first, *others = (picture.quantize(64, Image.Quantize.FASTOCTREE) for picture in pictures)
-    times = [250] * len(others) + [1500]  # milliseconds
-    first.save(
-        results / "pinched_tube.gif", save_all=True, append_images=others, duration=times, loop=0
-    )
+write_gif(results / "pinched_tube.gif", pictures)
+draw(results / "pinched_tube.png", way[-1])
 draw_profile(
     results / "pinched_tube_force.png",
     {"bars": (way, force, "o-"), "between the walls": (way, walls, "o-")},
