@@ -32,7 +32,13 @@ def page() -> str:
                 subject.setdefault(f"`{error}`", mistake.name[0].upper() + mistake.name[1:])
     head = PAGE.read_text().split(BELOW)[0]
     sections = [
-        "\n".join([f"\n## {title}\n", *(f"{name}\n: {text}\n" for text, name in subject.items())])
+        "\n".join(
+            [
+                f"\n:::{{dropdown}} {title}\n",
+                *(f"{name}\n: {text}\n" for text, name in subject.items()),
+                ":::\n",
+            ]
+        )
         for title, subject in messages.items()
     ]
     return head + BELOW + "".join(sections)
