@@ -24,6 +24,9 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 # size of a rigid motion relative to the prescribed displacements: larger ones come from rows that
 # hardly resist them
 _LARGEST = 10.0
+# part of the gaps that a motion which closes them may leave: gaps between bodies that touch on all
+# sides, such as grains, can not be closed, and would be spread over all of their contacts
+_LEFT = 0.1
 
 
 def prescribed_motion(coarse_space: CoarseSpace, c: Vector) -> Vector:
@@ -46,7 +49,8 @@ def closing_motion(coarse_space: CoarseSpace, c: Vector, pressing: Mask) -> Vect
     """Return the coarse vector of the motions that close the gaps of some contacts. Collective.
 
     Motions that supports leave free close the pressing contact rows (i,) in the least squares
-    sense, or are zero where they would be out of proportion to the gaps c.
+    sense, or are zero where most of the gaps c would be left, or where they would be out of
+    proportion to these.
     """
     constraints, free = coarse_space.constraints, coarse_space.resistance_of_supports().free
     owned = constraints.owned_contact_rows
@@ -63,6 +67,12 @@ def closing_motion(coarse_space: CoarseSpace, c: Vector, pressing: Mask) -> Vect
         sum_vectors=constraints.layout.space.sum_over_ranks,
         sum_matrices=partial(sum_sparse, coarse_space.comm),
     )
+    gaps = [
+        largest_of_ranks(coarse_space.comm, np.abs(g))
+        for g in (c[rows], closing @ (free @ z) - c[rows])
+    ]
+    if gaps[1] > _LEFT * gaps[0]:
+        return np.zeros(coarse_space.size)
     a = coarse_space.coarse_motions(free @ z)
     # bodies that do not move have a of rounding, which would count as a motion of theirs
     a[np.abs(a) <= rounding(np.abs(a).max(initial=0.0), MANY)] = 0.0

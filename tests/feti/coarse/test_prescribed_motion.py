@@ -9,7 +9,7 @@ import pytest
 from torn import column, cube, with_fields
 
 from fenics_tfeti.feti import ContactRows, Options, Prescribed, TornSolution, TornSolver, TornSystem
-from fenics_tfeti.feti.coarse.prescribed_motion import prescribed_motion
+from fenics_tfeti.feti.coarse.prescribed_motion import closing_motion, prescribed_motion
 
 pytestmark = pytest.mark.once
 
@@ -84,3 +84,13 @@ def test_loads_of_any_size_press_in_the_same_way(gap, stiff, size):
     assert found.report.products["total"] <= expected.report.products["total"] + 1
     rise = found.displacements[-1].reshape(-1, 3)[:, 2]
     np.testing.assert_allclose(rise, -gap, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("gaps", "rise"), [((1, 1, 1, 1), -1.0), ((1, 0, 0, 1), 0.0)])
+def test_gaps_that_no_motion_closes_are_left(gaps, rise):
+    """A cube above another one moves down by a gap, but not where it touches at corners across."""
+    solver = TornSolver(with_fields(column(1), "contacts", gap=1e-3 * np.array(gaps)))
+    coarse_space, rows = solver.setup.projector.coarse_space, solver.setup.constraints.inequality
+    a = closing_motion(coarse_space, solver.data.c, np.ones(rows.size, dtype=bool))
+    upper = coarse_space.rigid_motion(a).reshape(-1, 3)[-8:]
+    np.testing.assert_allclose(upper, np.tile([0, 0, 1e-3 * rise], (8, 1)), atol=1e-15)
