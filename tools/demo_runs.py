@@ -1,4 +1,4 @@
-"""Run the demos and the tutorial, and keep what the documentation shows of it: `make demo-runs`.
+"""Run demos and pages that draw, and keep what the documentation shows of it: `make demo-runs`.
 
 What a script prints goes to docs/runs/<name>/output.txt, its pictures beside it, scaled down, and
 its animations as they are.
@@ -20,13 +20,15 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT / "docs"))
 import literate
 
+PAGES = ROOT / "docs" / "scripts"
+
 WIDTH = 1200  # pixels
 COLOURS = 256
 
 
 def run(script: Path, kept: Path) -> None:
     """Run a script in a folder of its own, and keep its output and pictures."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(PAGES)])}
     with tempfile.TemporaryDirectory() as folder:
         command = [sys.executable, str(script)]
         done = subprocess.run(
@@ -56,10 +58,12 @@ def shrink(picture: Path, kept: Path) -> None:
 def main(names: list[str]) -> None:
     """Run the scripts with these names, or all of them."""
     with tempfile.TemporaryDirectory() as folder:
-        tutorial = Path(folder) / "tutorial.py"
-        page = (ROOT / "docs" / "tutorial.md").read_text()
-        tutorial.write_text(literate.script_of(page, "Tutorial"))
-        for script in [tutorial, *sorted((ROOT / "demos").glob("*.py"))]:
+        scripts = sorted((ROOT / "demos").glob("*.py"))
+        for page in [ROOT / "docs" / "tutorial.md", *PAGES.glob("*.md")]:
+            if "runs/" in page.read_text():
+                scripts.append(Path(folder) / f"{page.stem}.py")
+                scripts[-1].write_text(literate.script_of(page.read_text(), page.stem))
+        for script in scripts:
             if not names or script.stem in names:
                 print(script.name, flush=True)
                 run(script, ROOT / "docs" / "runs" / script.stem)
