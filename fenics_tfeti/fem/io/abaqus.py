@@ -136,6 +136,10 @@ def _read_block(
     elif keyword in ("NSET", "ELSET"):
         sets = deck.node_sets if keyword == "NSET" else deck.element_sets
         _add(sets, options[keyword], _members(sets, lines, "GENERATE" in options))
+        if keyword == "NSET" and "ELSET" in options:
+            elements = _named(deck.element_sets, options["ELSET"])
+            nodes = [n for element in elements for n in deck.elements[element][1]]
+            _add(sets, options["NSET"], nodes)
     elif keyword == "SURFACE" and options.get("TYPE", "ELEMENT").upper() == "ELEMENT":
         rows = [(line[0], line[1].upper() if len(line) > 1 else "") for line in lines]
         deck.surfaces.setdefault(options["NAME"], []).extend(rows)

@@ -95,7 +95,7 @@ def whole_mesh(mesh: MeshSets, gdim: int, names: Sequence[Key] | None) -> WholeM
     nodes, x = _completed(cell, degree, nodes, x)
     nodes = nodes[:, _order(cell, degree)]
     bodies = _bodies(mesh, is_cell)
-    surfaces = _surfaces(mesh, cell, nodes, used)
+    surfaces = _surfaces(mesh, cell, nodes, used, names is None)
     if names is not None:
         bodies, surfaces = _chosen(path, bodies, surfaces, names)
     else:
@@ -196,8 +196,13 @@ def _without_whole(path: Path, bodies: dict[Key, Numbers], count: int) -> dict[K
     return bodies
 
 
-def _surfaces(mesh: MeshSets, cell: str, nodes: Numbers, used: Numbers) -> dict[Key, Numbers]:
-    """Return the facets of each set that has some, as sorted corners (f, t) among the nodes."""
+def _surfaces(
+    mesh: MeshSets, cell: str, nodes: Numbers, used: Numbers, is_default: bool
+) -> dict[Key, Numbers]:
+    """Return the facets of each set that has some, as sorted corners (f, t) among the nodes.
+
+    By default sets of nodes of the whole boundary are left out.
+    """
     facet = reference_cell(cell).facet
     surfaces: dict[Key, Numbers] = {}
     corners = [
@@ -217,7 +222,7 @@ def _surfaces(mesh: MeshSets, cell: str, nodes: Numbers, used: Numbers) -> dict[
         among = positions(used, np.unique(chosen).astype(np.int64))
         marked[among[among >= 0]] = True
         # of a set of elements of the same name these are the nodes
-        if name not in rows and not marked[exterior].all():
+        if name not in rows and not (is_default and marked[exterior].all()):
             rows[name] = exterior[marked[exterior].all(axis=1)]
     return {
         key: distinct_rows(np.sort(facets, axis=1))[0]

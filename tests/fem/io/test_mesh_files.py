@@ -173,6 +173,8 @@ def test_sets_become_tags(tmp_path):
         ("*NSET, NSET=chosen\n11, 12\n*NSET, NSET=CHOSEN\n13, 17", 2.0),
         ("*SURFACE, NAME=chosen, TYPE=NODE\nbottom, 1.0\n14, 1.0", 3.0),
         ("*SURFACE, NAME=chosen\nblock, S1", 2.0),
+        ("*NSET, NSET=chosen, ELSET=Left", 4.0),
+        ("*NSET, NSET=chosen\nNall", 8.0),
     ],
 )
 def test_lines_of_sets(tmp_path, members, length):
@@ -213,7 +215,7 @@ def test_bodies_that_share_nodes_are_opened(tmp_path):
         ("*ELSET, ELSET=left\n1", {}, r"1 of 2 cells are in none of the sets \['left'\]"),
         (f"{TWO}*ELSET, ELSET=again\n2", {}, "a cell is in the sets 'Right' and 'again'.*names="),
         (f"{TWO}*NSET, NSET=low\n11, 12", {}, "a facet is in the sets 'bottom' and 'low'.*names="),
-        (TWO, {"names": ["top"]}, r"no set 'top'.*\['Right', 'block', 'bottom', 'left'\]"),
+        (TWO, {"names": ["top"]}, r"no set 'top'.*\['Nall', 'Right', 'block', 'bottom', 'left'\]"),
         (TWO, {"gdim": 3}, "are of dimension 2, but gdim is 3: pass gdim=2"),
         ("*ELSET, ELSET=a\nb", {}, r"two.inp, line 16: \*ELSET cannot be read \(b\)"),
         ("*NSET\n1", {}, r"line 16: \*NSET cannot be read \(NSET\)"),
