@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterable, Iterator, Sequence
@@ -154,6 +155,11 @@ def first_few(texts: Sequence[str], few: int, what: str) -> list[str]:
     """
     others = len(texts) - few
     return [*texts[:few], f"and {others} other {what}"] if others > 0 else list(texts)
+
+
+def without_places(text: str) -> str:
+    """Shorten "body 1 (pin) in [0, 2] x [0, 1]" to "body 1 (pin)" wherever a text has it."""
+    return re.sub(r"(body \d+ \([^()]*\)) in \[[^\]]*\](?: x \[[^\]]*\])*", r"\1", text)
 
 
 def format_point(point: Iterable[float], size: float = 0.0) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Self
 
 from mpi4py import MPI
 
-from fenics_tfeti.errors import InputError, first_few
+from fenics_tfeti.errors import InputError, first_few, format_point
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass
 from fenics_tfeti.fem.contact.solution.results import ContactEntry, Results, RigidBodyResult
@@ -19,7 +19,7 @@ from fenics_tfeti.fem.io.units import Units, units_of
 from fenics_tfeti.fem.mesh_error.estimate import MeshErrorEntry
 from fenics_tfeti.feti import Report
 from fenics_tfeti.feti.files.arrays import write_whole
-from fenics_tfeti.feti.report.report import FEW_LINES, without_nan
+from fenics_tfeti.feti.report.report import FEW_LINES, as_lines, without_nan
 from fenics_tfeti.parallel import meet, raise_collectively
 
 
@@ -143,28 +143,46 @@ class ContactReport(Report):
         return cls(**{**vars(report), **added, **more})
 
     def __str__(self) -> str:
-        """Return as lines what to check, how the first contacts were matched, and main figures."""
-        head, *table = self.matching_table().splitlines()
-        table = [head, *first_few(table, FEW_LINES, "contacts")] if table else []
+        """Return lines to read: what to check, the result, forces and gaps, then the solver."""
         roles = [f"{entry.name}: {entry.roles}" for entry in self.contacts if entry.roles]
-        roles = first_few(roles, FEW_LINES, "contacts")
-        to_check = [f"{'to check':>16}  {finding}" for finding in self.to_check]
-        largest = (
-            f"{'largest':>16}  displacement {self.largest_displacement:.3g} {self.units.length}, "
-            f"strain {self.largest_strain:.2g}"
-        )
-        lines = [*to_check, *table, *roles, self.summary(self.units.force), largest]
+        size = f"displacement {self.largest_displacement:.3g} {self.units.length}"
+        lines = [("to check", finding) for finding in self.to_check]
+        lines += [*self.result_lines(), *self._mesh_error_lines()]
+        lines.append(("largest", f"{size}, strain {self.largest_strain:.2g}"))
         if self.damage is not None:
-            lines.append(f"{'damage':>16}  {self.damage}")
+            lines.append(("damage", str(self.damage)))
         if self.rough_products:
             solves, products = len(self.rough_products), sum(self.rough_products)
-            lines.append(f"{'rough contact':>16}  {solves} solves, {products} products in all")
-        if self.mesh_error is not None:
-            is_larger = self.mesh_error.error >= self.certificate.error
-            mend = "the mesh is larger: refine it" if is_larger else "the iterations is larger"
-            lines.append(f"{'error of mesh':>16}  {self.mesh_error}")
-            lines.append(f"{'':>16}  of both errors that of {mend}")
-        return "\n".join(lines)
+            lines.append(("rough contact", f"{solves} solves, {products} iterations in all"))
+        parts = [as_lines(lines), self.force_table(), self.matching_table(FEW_LINES)]
+        parts += ["\n".join(first_few(roles, FEW_LINES, "contacts"))]
+        parts += [as_lines(self.solver_lines())]
+        return "\n\n".join(part for part in parts if part)
+
+    def _mesh_error_lines(self) -> list[tuple[str, str]]:
+        if self.mesh_error is None:
+            return []
+        is_larger = self.mesh_error.error >= self.certificate.error
+        advice = "the mesh is larger: refine it" if is_larger else "the iterations is larger"
+        return [
+            ("error of mesh", str(self.mesh_error)),
+            ("", f"of both errors that of {advice}"),
+        ]
+
+    def force_table(self) -> str:
+        """Return the forces of the first contacts, of the load and of supports as a table."""
+        force, pressure = self.units.force, self.units.pressure
+        rows = [["force of", f"force [{force}]", f"largest pressure [{pressure}]", "nodes press"]]
+        for contact in self.contacts[:FEW_LINES]:
+            largest = contact.largest_pressure
+            pressed = ["-", "-"] if largest is None else [f"{largest:.4g}", str(contact.pressing)]
+            rows.append([f"{contact.name} on slave", format_point(contact.force), *pressed])
+        if len(self.contacts) > FEW_LINES:
+            rows.append([f"... and {len(self.contacts) - FEW_LINES} more contacts", "", "", ""])
+        for entry in (self.load, *self.reactions, self.springs):
+            if any(entry.force):
+                rows.append([entry.name, format_point(entry.force), "", ""])
+        return _table(rows) if len(rows) > 1 else ""
 
     def to_html(
         self,
@@ -175,9 +193,11 @@ class ContactReport(Report):
     ) -> None:
         """Write the report as a page for a browser, which needs no other file. Collective.
 
-        The page has the result and the bound of its error, the deformed bodies, to be turned and
-        coloured, the contacts with their forces, the convergence, the certificate and the times of
-        the phases. It contains the JavaScript of Plotly, about 5 MB.
+        The page has what to check, the deformed bodies, to be turned and coloured, contacts with
+        forces and pressures, load and supports; then the solver: the convergence, the certificate
+        and the times of the phases. It contains Plotly, compressed to 2 MB, which browsers since
+        2023 unpack; places are rounded to a ten-thousandth of the bodies' size, and fields to four
+        digits.
 
         Parameters
         ----------
@@ -187,7 +207,7 @@ class ContactReport(Report):
             The solution; its outer faces are gathered on rank 0. Without it the page has no bodies.
         fields : sequence of dolfinx.fem.Function
             Scalars to colour the bodies by beside the size of the displacement, such as the contact
-            pressure of `fenics_tfeti.io.contact_fields`.
+            pressure of `fenics_tfeti.io.contact_fields`. The first one is seen first.
         title : str
             The heading.
 
@@ -215,16 +235,23 @@ class ContactReport(Report):
                 page = report_page(without_nan(self.to_dict()), title, scene)
                 write_whole(path, "the page", lambda file: file.write(page.encode()))
 
-    def matching_table(self) -> str:
-        """Return the matching of each contact as a table to read, a line for each."""
+    def matching_table(self, most: int | None = None) -> str:
+        """Return how each contact was matched, or `most` of them, as a table to read.
+
+        Names are cut to 30 characters, columns without an entry are left out, and columns beyond
+        the width of 100 characters stand in a table below.
+        """
+        if not self.contacts:
+            return ""
         length = f"[{self.units.length}]"
         rows = [[title.replace("[L]", length) for title in _COLUMNS.values()]]
-        rows += [[_word(entry.matching[key]) for key in _COLUMNS] for entry in self.contacts]
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        return "\n".join(
-            "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])])
-            for row in rows
-        )
+        for entry in self.contacts[:most]:
+            rows.append([_word(entry.matching[key]) for key in _COLUMNS])
+        used = [set(column) != {"-"} for column in zip(*rows[1:], strict=True)]
+        rows = [[word for word, is_used in zip(row, used, strict=True) if is_used] for row in rows]
+        text = _table(rows)
+        more = len(self.contacts) - len(rows) + 1
+        return f"{text}\n... and {more} more contacts" if more else text
 
     @property
     def units(self) -> Units:
@@ -243,13 +270,28 @@ _COLUMNS = {
     "largest_angle": "angle [deg]",
     "smallest_gap": "gap from [L]",
     "largest_gap": "to [L]",
-    "mean_gap": "mean [L]",
     "covered_area": "area",
     "deviation": "deviation [L]",
 }
 
 
+def _table(rows: Sequence[Sequence[str]]) -> str:
+    """Return rows, the first of them titles, as a table of 100 columns, or as several of them."""
+    width, longest = 100, 30
+    names, *columns = [list(column) for column in zip(*rows, strict=True)]
+    names = [f"{name[: longest - 3]}..." if len(name) > longest else name for name in names]
+    names = [name.ljust(max(map(len, names))) for name in names]
+    tables = [names]
+    for column in columns:
+        wide = max(map(len, column))
+        if len(tables[-1][0]) + 2 + wide > width:
+            tables.append(names)
+        lines = zip(tables[-1], column, strict=True)
+        tables[-1] = [f"{line}  {word.rjust(wide)}" for line, word in lines]
+    return "\n".join(line.rstrip() for table in tables for line in table)
+
+
 def _word(value: Any) -> str:
     if value is None:
         return "-"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.3g}" if isinstance(value, float) else str(value)

@@ -215,6 +215,6 @@ def test_largest_displacement_and_strain():
 def test_printed_report_begins_with_what_to_check():
     problem = block_on(scenes.plane(1, 2, -0.1), 2).problem()
     problem.solve()
-    first, *_, last = str(problem.report).splitlines()
+    first, *others = str(problem.report).splitlines()
     assert first == "        to check  nothing touches: 'fit' is open by 0.1 m"
-    assert last == "         largest  displacement 0 m, strain 0"
+    assert "         largest  displacement 0 m, strain 0" in others

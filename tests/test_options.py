@@ -51,7 +51,7 @@ def test_command_line_comes_before_the_script_and_flags_print_what_they_say():
     lines = printed.splitlines()
     assert lines[0].startswith("face    0  products")
     assert lines[-1] == "True 0.0001 2.0"
-    for words in ("discretisation", "rows active", "force on slave", "result  converged"):
+    for words in ("discretisation", "conditions active", "force of", "result  converged"):
         assert words in printed
 
 

@@ -31,7 +31,12 @@ def test_command(system, tmp_path):
     command += ["--report", str(report), "--solution", str(solution)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=100)
     assert answer.returncode == 0, answer.stderr
-    for words in ("528, in 3 subdomains", "16 of 16 rows", "(0, 0, 3) of 'joint'", "converged"):
+    for words in (
+        "528, in 3 subdomains",
+        "16 of 16 conditions",
+        "(0, 0, 3) of 'joint'",
+        "converged",
+    ):
         assert words in answer.stdout
     written = json.loads(report.read_text())
     assert written["converged"] and written["options"]["rtol"] == 1e-9

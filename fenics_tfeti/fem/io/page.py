@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import gzip
+import json
+from base64 import b64encode
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -9,11 +12,13 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+from numpy.typing import NDArray
 from plotly.offline import get_plotlyjs
 
-from fenics_tfeti.errors import first_few
+from fenics_tfeti.errors import first_few, without_places
 from fenics_tfeti.fem.io.scene import Scene
 from fenics_tfeti.fem.io.units import Units, units_of
+from fenics_tfeti.typing import Vector
 
 _STYLE = Path(__file__).with_name("page.css")
 _QUANTITIES = {
@@ -27,39 +32,77 @@ _EVEN = {"ambient": 1, "diffuse": 0}
 _SHADED = {"ambient": 0.8, "diffuse": 0.3, "facenormalsepsilon": 0, "vertexnormalsepsilon": 0}
 
 
+# Plotly and the figures come compressed, since Plotly alone has 5 MB
+_UNPACK = """
+const packed = Uint8Array.from(atob(document.getElementById("packed").textContent), (c) => c.charCodeAt(0));
+const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+new Response(stream).text().then((code) => {
+  const script = document.createElement("script");
+  script.textContent = code;
+  document.head.append(script);
+});
+"""  # noqa: E501
+
+
+# A figure begins with the frames that its layout names, whose arrays the page has once.
+_DRAW = """
+function draw(name, figure) {
+  for (const first of figure.layout.meta || []) {
+    // a copy, since Plotly writes the next frame into what is shown
+    const frame = figure.frames.find((frame) => frame.name === first);
+    Object.assign(figure.data[0], structuredClone(frame.data[0]));
+  }
+  Plotly.newPlot(name, figure);
+}
+"""
+
+
 def report_page(report: Mapping[str, Any], title: str, scene: Scene | None = None) -> str:
-    """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript."""
+    """Return the page for what `ContactReport.to_dict` returns; it contains Plotly's JavaScript.
+
+    What has been computed comes first, then how.
+    """
     units = units_of(report["options"]["units"], report["per_length"])
+    figures = {} if scene is None else {"bodies": _bodies(scene, units)}
     body = [_verdict(report, title, units)]
     if scene is not None:
-        body += ["<h2>Deformed bodies</h2>", _div("bodies", _bodies(scene, units))]
-    body += _contacts(report, units) + _bolts(report, units) + _rigid_bodies(report, units)
-    body += ["<h2>Convergence</h2>", _div("convergence", _convergence(report, units))]
+        body += ["<h2>Deformed bodies</h2>", _div("bodies")]
+    body += _contacts(report, units) + _forces(report, units) + _bolts(report, units)
+    body += _rigid_bodies(report, units) + _motions(report) + _solver(report, units)
+    figures["convergence"] = _convergence(report, units)
+    body += ["<h2>Convergence</h2>", _div("convergence")]
     if report["passes"]:
-        body += ["<h2>Geometry passes</h2>", _div("passes", _passes(report["passes"]))]
-    body += _certificate(report)
-    body += ["<h2>Phases</h2>", _div("phases", _phases(report["seconds"])), *_details(report)]
+        figures["passes"] = _passes(report["passes"])
+        body += ["<h2>Geometry passes</h2>", _div("passes")]
+    figures["phases"] = _phases(report["seconds"])
+    body += [*_certificate(report), "<h2>Phases</h2>", _div("phases"), *_details(report)]
     return "\n".join(
         [
             '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">',
             '<meta name="viewport" content="width=device-width, initial-scale=1">',
             f"<title>{escape(title)}</title>",
-            f"<style>\n{_STYLE.read_text()}</style>",
-            f"<script>{get_plotlyjs()}</script>\n</head>\n<body>",
+            f"<style>\n{_STYLE.read_text()}</style>\n</head>\n<body>",
             *body,
+            f'<script type="text/plain" id="packed">{_packed(figures)}</script>',
+            f"<script>{_UNPACK}</script>",
             "</body>\n</html>\n",
         ]
     )
 
 
-def _div(name: str, figure: go.Figure) -> str:
-    """Return a figure as an element of a page that has Plotly's JavaScript."""
-    figure.update_layout(template="plotly_white", font={"family": "system-ui, sans-serif"})
-    config = {"responsive": True, "displaylogo": False}
-    plot = figure.to_html(
-        config, auto_play=False, include_plotlyjs=False, full_html=False, div_id=name
-    )
-    return f'<div class="figure {name}">{plot}</div>'
+def _div(name: str) -> str:
+    """Return the element of a page that a figure is drawn in."""
+    return f'<div class="figure {name}"><div id="{name}" class="plotly-graph-div"></div></div>'
+
+
+def _packed(figures: Mapping[str, go.Figure]) -> str:
+    """Return Plotly and the figures as JavaScript, compressed."""
+    config = json.dumps({"responsive": True, "displaylogo": False})
+    code = [get_plotlyjs(), _DRAW]
+    for name, figure in figures.items():
+        figure.update_layout(template="plotly_white", font={"family": "system-ui, sans-serif"})
+        code.append(f'draw("{name}", {{...{figure.to_json()}, config: {config}}});')
+    return b64encode(gzip.compress("\n".join(code).encode(), mtime=0)).decode()
 
 
 def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
@@ -67,30 +110,40 @@ def _verdict(report: Mapping[str, Any], title: str, units: Units) -> str:
     kind = "verdict check" if to_check else "verdict"
     if not report["converged"]:
         kind = "verdict open"
-    error, of_mesh = _number(report["certificate"]["error"]), report.get("mesh_error")
-    unknowns, products = report["unknowns"], report["products"]
-    friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
     displacement = f"{_number(report['largest_displacement'])} {units.length}"
+    of_mesh = report.get("mesh_error")
     facts = [
         *to_check,
         ("result", report["reason"]),
-        ("error", f"at most {error} in the energy norm, without that of the mesh"),
-        *([("error of the mesh", _mesh_error(of_mesh))] if of_mesh else []),
         ("largest displacement", displacement),
         ("largest strain", _number(report["largest_strain"])),
-        ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
-        ("contact", f"{unknowns['active']} of {unknowns['inequalities']} conditions active"),
-        *([("friction", friction)] if unknowns["friction"] else []),
-        ("products with F", products["total"]),
-        ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
-        ("potential energy", f"{_number(report['energy'])} {units.energy}"),
-        *(
-            ("free motion", motion)
-            for motion in first_few(report["free_motions"], 6, "free motions")
-        ),
-        *(("weak motion", motion) for motion in report["weak_motions"]),
+        *([("error of the mesh", _mesh_error(of_mesh))] if of_mesh else []),
     ]
     return f'<h1>{escape(title)}</h1>\n<div class="{kind} wide">{_table(facts)}</div>'
+
+
+def _solver(report: Mapping[str, Any], units: Units) -> list[str]:
+    unknowns, error = report["unknowns"], _number(report["certificate"]["error"])
+    friction = f"{unknowns['sticking']} of {unknowns['friction']} nodes stick"
+    facts = [
+        ("error of the iterations", f"at most {error} in the energy norm, without the mesh's"),
+        ("unknowns", f"{unknowns['primal']} in {report['subdomains']} subdomains"),
+        ("contact conditions", f"{unknowns['active']} of {unknowns['inequalities']} active"),
+        *([("friction", friction)] if unknowns["friction"] else []),
+        ("iterations", f"{report['products']['total']} applications of the dual operator"),
+        ("time", f"{report['seconds']['total']:.3g} s, MPI ranks: {report['ranks']}"),
+        ("potential energy", f"{_number(report['energy'])} {units.energy}"),
+    ]
+    return ["<h2>Solver</h2>", f'<div class="wide">{_table(facts)}</div>']
+
+
+def _motions(report: Mapping[str, Any]) -> list[str]:
+    """Return the motions that nothing resists, or tilted normals only."""
+    rows: list[Sequence[Any]] = [("motion", "")]
+    for kind in ("free", "weak"):
+        motions = first_few(report[f"{kind}_motions"], 6, f"{kind} motions")
+        rows += [(kind, without_places(motion)) for motion in motions]
+    return _section("Motions that are not held", rows)
 
 
 def _mesh_error(entry: Mapping[str, Any]) -> str:
@@ -106,15 +159,26 @@ def _section(title: str, rows: Sequence[Sequence[Any]]) -> list[str]:
 
 
 def _contacts(report: Mapping[str, Any], units: Units) -> list[str]:
-    columns, force = 5 if report["unknowns"]["friction"] else 4, f"[{units.force}]"
-    head = ("contact", f"normal force {force}", f"force on the slave {force}", "pairs")
-    rows: list[Sequence[Any]] = [(*head, f"work of friction [{units.energy}]")[:columns]]
+    columns, force = 6 if report["unknowns"]["friction"] else 5, f"[{units.force}]"
+    head = ["contact", f"normal force {force}", f"force on the slave {force}"]
+    head += [f"largest pressure [{units.pressure}]", "nodes that press"]
+    rows: list[Sequence[Any]] = [[*head, f"work of friction [{units.energy}]"][:columns]]
     for contact in report["contacts"]:
-        vector = ", ".join(map(_number, contact["force"]))
-        pairs, work = contact["matching"]["pairs"], _number(contact["friction_work"])
-        row = (contact["name"], _number(contact["normal_force"]), vector, pairs, work)
+        vector, largest = _vector(contact["force"]), contact["largest_pressure"]
+        pressure = "" if largest is None else _number(largest)
+        row = [contact["name"], _number(contact["normal_force"]), vector, pressure]
+        row += [contact["pressing"], _number(contact["friction_work"])]
         rows.append(row[:columns])
     return _section("Contact", rows)
+
+
+def _forces(report: Mapping[str, Any], units: Units) -> list[str]:
+    """Return the load and what holds it; forces from outside are in balance."""
+    rows: list[Sequence[Any]] = [("", f"force [{units.force}]", f"moment [{units.moment}]")]
+    for entry in (report["load"], *report["reactions"], report["springs"]):
+        if any(entry["force"]) or any(entry["moment"]):
+            rows.append((entry["name"], _vector(entry["force"]), _vector(entry["moment"])))
+    return _section("Load and supports", rows)
 
 
 def _bolts(report: Mapping[str, Any], units: Units) -> list[str]:
@@ -131,7 +195,7 @@ def _rigid_bodies(report: Mapping[str, Any], units: Units) -> list[str]:
     head = (f"{name.replace('_', ' ')} [{unit}]" for name, unit in columns.items())
     rows = [("rigid body", *head)]
     for body in report["rigid_bodies"]:
-        rows.append((body["name"], *(", ".join(map(_number, body[name])) for name in columns)))
+        rows.append((body["name"], *(_vector(body[name]) for name in columns)))
     return _section("Rigid bodies", rows)
 
 
@@ -143,10 +207,13 @@ def _certificate(report: Mapping[str, Any]) -> list[str]:
         names += ["friction_excess", "slip_below_bound", "slip_across_force"]
     rows += [(name.replace("_", " "), _number(certificate[name])) for name in names]
     rows += [
-        (f"error of {', '.join(group['bodies'])}", _number(group["error"]))
+        (f"error of {without_places(', '.join(group['bodies']))}", _number(group["error"]))
         for group in certificate["groups"]
     ]
-    rows += [(f"share of {body['body']}", _number(body["error"])) for body in certificate["bodies"]]
+    rows += [
+        (f"share of {without_places(body['body'])}", _number(body["error"]))
+        for body in certificate["bodies"]
+    ]
     return _section("Certificate", rows)
 
 
@@ -174,6 +241,13 @@ def _number(value: float | None) -> str:
     return "not finite" if value is None else f"{value:.4g}"
 
 
+def _vector(values: Sequence[float | None]) -> str:
+    """Return components, of which those that are rounding beside the largest are zero."""
+    finite = [abs(value) for value in values if value is not None]
+    least = 1e-9 * max(finite, default=0.0)
+    return ", ".join(_number(0.0 if v is not None and abs(v) <= least else v) for v in values)
+
+
 def _positive(values: Iterable[float | None]) -> list[float | None]:
     """Return numbers for a logarithmic axis, where zeros have no place."""
     return [value if value is not None and value > 0.0 else None for value in values]
@@ -197,7 +271,7 @@ def _convergence(report: Mapping[str, Any], units: Units) -> go.Figure:
         if report[steps]
     ]
     layout = {"showlegend": True, "legend": {"orientation": "h", "y": 1.12}, "margin": _MARGIN}
-    layout |= {"xaxis": {"title": "products with F", "rangemode": "tozero"}}
+    layout |= {"xaxis": {"title": "applications of the dual operator", "rangemode": "tozero"}}
     return go.Figure(traces, layout | {"yaxis": {"type": "log", "exponentformat": "power"}})
 
 
@@ -218,18 +292,21 @@ def _phases(seconds: Mapping[str, float]) -> go.Figure:
 def _bodies(scene: Scene, units: Units) -> go.Figure:
     """Return the deformed bodies, with a menu of fields and a slider of the magnification."""
     scene = scene.triangulated()
-    points, displacement = (x.astype(np.float32) for x in (scene.points, scene.displacement))
+    corners = scene.faces.astype(np.uint16 if len(scene.points) < 2**16 else np.int32)
+    # no finer than a pixel of a large screen: zeros at the end of numbers are compressed
+    step = 2.0 ** np.floor(np.log2(max(np.ptp(scene.points, axis=0).max(), 1e-300) / 2**13))
 
     def places(scale: float) -> dict[str, Any]:
-        return dict(zip("xyz", (points + np.float32(scale) * displacement).T, strict=True))
+        rounded = step * np.rint((scene.points + scale * scene.displacement) / step)
+        return dict(zip("xyz", rounded.T.astype(np.float32), strict=True))
 
     colours = {name.replace("_", " "): _colours(scene, name, units) for name in scene.fields}
+    # what the user has chosen to see is seen first, the size of the displacement else
+    first = list(colours)[min(1, len(colours) - 1)]
     scales = {f"{scale:.3g}": places(scale) for scale in scene.scale * _MAGNIFICATIONS}
     middle = len(scales) // 2
     mesh = go.Mesh3d(
-        **dict(zip("ijk", scene.faces.T, strict=True)),
-        **places(scene.scale),
-        **next(iter(colours.values())),
+        **dict(zip("ijk", corners.T, strict=True)),
         colorscale="YlOrRd",
         flatshading=True,
         lighting=_EVEN if scene.flat else _SHADED,
@@ -241,6 +318,7 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
     ]
     eye = {"x": 0, "y": 0, "z": 2} if scene.flat else {"x": -1.0, "y": -1.5, "z": 0.9}
     layout = {
+        "meta": [first, list(scales)[middle]],
         "margin": {"l": 0, "r": 12, "t": 40, "b": 105},
         "scene": {
             "domain": {"y": [0.2, 1]},
@@ -251,7 +329,14 @@ def _bodies(scene: Scene, units: Units) -> go.Figure:
             "uirevision": "kept",  # what the user has turned stays
         },
         "updatemenus": [
-            {"buttons": _steps(colours), "x": 0, "xanchor": "left", "y": 1, "yanchor": "bottom"}
+            {
+                "buttons": _steps(colours),
+                "active": list(colours).index(first),
+                "x": 0,
+                "xanchor": "left",
+                "y": 1,
+                "yanchor": "bottom",
+            }
         ],
         "sliders": [
             {
@@ -271,10 +356,16 @@ def _colours(scene: Scene, name: str, units: Units) -> dict[str, Any]:
         label += f" [{getattr(units, _QUANTITIES[name])}]"
     bar = {"title": {"text": label, "side": "top"}, "orientation": "h", "y": 0, "len": 0.9}
     return {
-        "intensity": values.ravel().astype(np.float32),
+        "intensity": _to_four_digits(values.ravel()),
         "intensitymode": "vertex" if values.ndim == 1 else "cell",
         "colorbar": {**bar, "yanchor": "bottom", "thickness": 14},
     }
+
+
+def _to_four_digits(values: Vector) -> NDArray[np.float32]:
+    """Round numbers to a few binary digits, more than those that are shown."""
+    mantissa, exponent = np.frexp(values)
+    return np.ldexp(np.rint(mantissa * 2**14) / 2**14, exponent).astype(np.float32)
 
 
 def _steps(frames: Iterable[str]) -> list[dict[str, Any]]:

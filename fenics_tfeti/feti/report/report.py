@@ -6,7 +6,8 @@ import json
 import os
 import resource
 import sys
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 import scipy
 import scipy.sparse as sp
 
-from fenics_tfeti.errors import first_few, format_point
+from fenics_tfeti.errors import first_few, format_point, without_places
 from fenics_tfeti.feti.coarse.body_motions import describe_body_motions
 from fenics_tfeti.feti.constraints.face import Face
 from fenics_tfeti.feti.constraints.row_table import Kind
@@ -178,42 +179,45 @@ class Report:
         return whole
 
     def __str__(self) -> str:
-        """Return the main figures as lines to read."""
-        return self.summary()
+        """Return the main figures as lines to read: the result, forces, motions, the solver."""
+        forces = [f"{format_point(c.force)} of {c.name!r}" for c in self.contacts]
+        lines = {"force on slave": first_few(forces, FEW_LINES, "contacts")}
+        return as_lines([*self.result_lines(), *unfolded(lines), *self.solver_lines()])
 
-    def summary(self, force_unit: str = "") -> str:
-        """Return the main figures as lines to read, forces with a unit."""
-        unknowns, products, unit = self.unknowns, self.products, f" {force_unit}".rstrip()
+    def result_lines(self) -> list[tuple[str, str]]:
+        """Return how the solve has ended, each line with its title."""
         accuracy = "at most" if self.certificate.guaranteed else "estimated as"
         error = f"{self.certificate.energy_error:.1e}"
+        bound = f"{accuracy} {error} in the energy norm, without that of the mesh"
+        return [("result", self.reason), ("error", bound)]
+
+    def solver_lines(self) -> list[tuple[str, str]]:
+        """Return motions that are not held, and how it was solved, each line with its title."""
+        unknowns, products = self.unknowns, self.products
         negative = f", {n} of them negative" if (n := self.deflation["negative"]) else ""
         because = f", for {why}" if (why := self.preconditioner_reason) else ""
         lines = {
-            "result": self.reason,
-            "error": f"{accuracy} {error} in the energy norm, without that of the mesh",
             "unknowns": f"{unknowns['primal']}, in {self.subdomains} subdomains",
-            "contact": f"{unknowns['active']} of {unknowns['inequalities']} rows active",
+            "contact": f"{unknowns['active']} of {unknowns['inequalities']} conditions active",
             "friction": f"{unknowns['sticking']} of {unknowns['friction']} nodes stick",
-            "products with F": f"{products['total']}, and {products['norm']} for its norm",
+            "iterations": f"{products['total']} products with the dual operator, and "
+            f"{products['norm']} for its norm",
             "preconditioner": self.preconditioner + because,
             "deflation": f"{self.deflation['vectors']} directions{negative}",
             "time": f"{self.seconds['total']:.2f} s ({self._slowest()}), MPI ranks: {self.ranks}",
         }
         has = {"friction": unknowns["friction"], "deflation": self.deflation["vectors"]}
-        rows = [(name, line) for name, line in lines.items() if has.get(name, True)]
-        forces = [f"{format_point(c.force)}{unit} of {c.name!r}" for c in self.contacts]
-        lists = {
-            "force on slave": first_few(forces, FEW_LINES, "contacts"),
+        motions = {
             "free motion": first_few(self.free_motions, 6, "free motions"),
             "weak motion": first_few(self.weak_motions, 6, "weak motions"),
         }
-        rows += [(name, line) for name, some in lists.items() for line in some]
-        return "\n".join(f"{name:>16}  {value}" for name, value in rows)
+        rows = [(name, without_places(line)) for name, line in unfolded(motions)]
+        return rows + [(name, line) for name, line in lines.items() if has.get(name, True)]
 
     def _slowest(self) -> str:
-        """Return the three phases that took longest."""
+        """Return the two phases that took longest."""
         phases = {name: time for name, time in self.seconds.items() if name != "total"}
-        longest = sorted(phases, key=lambda name: -phases[name])[:3]
+        longest = sorted(phases, key=lambda name: -phases[name])[:2]
         return ", ".join(f"{name} {phases[name]:.2f}" for name in longest)
 
     def to_json(self, path: str | os.PathLike[str]) -> None:
@@ -253,6 +257,21 @@ def without_nan(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [without_nan(entry) for entry in value]
     return value
+
+
+def unfolded(lists: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
+    """Return a line for each text in lists with a title."""
+    return [(name, line) for name, some in lists.items() for line in some]
+
+
+def as_lines(rows: Sequence[tuple[str, str]]) -> str:
+    """Return lines to read of at most 100 characters, each with its title."""
+    lines = []
+    for name, value in rows:
+        wrapped = textwrap.wrap(value, 82, break_long_words=False, break_on_hyphens=False)
+        titles = [name, *[""] * (len(wrapped) - 1)]
+        lines += [f"{title:>16}  {line}" for title, line in zip(titles, wrapped, strict=True)]
+    return "\n".join(lines)
 
 
 def build_report(

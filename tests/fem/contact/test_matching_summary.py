@@ -1,5 +1,6 @@
 """How contacts were matched, in numbers, and in the report."""
 
+import dataclasses
 import json
 
 from mpi4py import MPI
@@ -45,10 +46,32 @@ def test_report_has_the_summary(tmp_path):
     written = json.loads((tmp_path / "report.json").read_text())["contacts"]
     found = problem.report.contacts
     assert [entry["matching"] for entry in written] == [entry.matching for entry in found]
-    head, line = problem.report.matching_table().splitlines()
+    head, line, *more = problem.report.matching_table().splitlines()
     assert head.split()[:3] == ["contact", "discretisation", "pairs"]
     assert line == "contact 0 (pair)    node_to_node      4" + line[39:]
-    assert line.split()[-9:] == ["0"] * 7 + ["1", "-"]
+    # columns without an entry are left out; what is beyond 100 characters is below
+    assert line.split()[-5:] == ["4", "0", "0", "0", "0"]
+    assert [text.split()[-2:] for text in more] == [["[m]", "area"], ["0", "1"]]
+    assert "deviation" not in head + more[0]
+    long = dataclasses.replace(found[0], matching={**found[0].matching, "contact": 40 * "x"})
+    report = dataclasses.replace(problem.report, contacts=[*found, long])
+    lines = str(report).splitlines()
+    assert max(map(len, lines)) <= 100
+    assert any(text.startswith(27 * "x" + "... ") for text in lines)
+
+
+def test_report_begins_with_forces_and_pressures():
+    scene = scenes.two_beams(MPI.COMM_SELF, "quadrilateral", 3)
+    problem = scene.problem()
+    problem.solve()
+    entry, contact = problem.report.contacts[0], problem.results[0]
+    assert entry.largest_pressure == contact.pressure.max() > 0.0
+    assert entry.pressing == np.count_nonzero(contact.nodal_normal_force > 0.0) > 0
+    blocks = str(problem.report).split("\n\n")
+    forces, matching, solver = blocks[-3:]
+    assert f"{entry.largest_pressure:.4g}" in forces and "load" in forces
+    assert "Dirichlet condition 0" in forces
+    assert matching.startswith("contact ") and "unknowns" in solver
 
 
 @pytest.mark.parametrize("degrees", [0.0, 1e-7, 30.0, 90.0, 180.0])

@@ -51,6 +51,6 @@ def test_report_and_page_name_the_units(tmp_path, units, thickness, length, forc
     problem = scene.problem(options={"units": units}, measure_weight=thickness)
     problem.solve()
     text = str(problem.report)
-    assert f"distance [{length}]" in text and f") {force} of" in text
+    assert f"distance [{length}]" in text and f"force [{force}]" in text
     problem.report.to_html(tmp_path / "page.html")
     assert f" {energy}</td>" in (tmp_path / "page.html").read_text()

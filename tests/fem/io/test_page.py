@@ -84,8 +84,9 @@ def test_page_draws_without_errors_and_without_the_network(browser, written, siz
     assert errors == [] and requests == [written.as_uri()]
     assert tab.title() == tab.text_content("h1") == "Beams <1 & 2>"
     headings = tab.locator("h2").all_text_contents()
-    wanted = ["Deformed bodies", "Contact", "Convergence", "Geometry passes", "Certificate"]
-    assert headings == [*wanted, "Phases"]
+    engineers = ["Deformed bodies", "Contact", "Load and supports"]
+    solver = ["Solver", "Convergence", "Geometry passes", "Certificate", "Phases"]
+    assert [name for name in headings if name != "Motions that are not held"] == engineers + solver
     assert "converged" in tab.text_content(".verdict")
     # no wider than the screen
     assert tab.evaluate("document.documentElement.scrollWidth") <= size[0]
@@ -115,8 +116,10 @@ def test_bodies_can_be_turned_coloured_and_magnified(browser, written):
     def largest():
         return tab.evaluate(f"Math.max(...Array.from({figure}._fullData[0].intensity))")
 
-    sizes = [largest()]
-    for name in ("contact pressure", "von mises stress"):
+    # of the fields that were given the first one is seen first
+    assert tab.evaluate(f"{figure}._fullData[0].colorbar.title.text").startswith("contact pressure")
+    sizes = []
+    for name in ("displacement", "contact pressure", "von mises stress"):
         tab.locator("#bodies .updatemenu-header").click()
         tab.locator("#bodies .updatemenu-item-text", has_text=name).click()
         tab.wait_for_function(f"{figure}._fullData[0].colorbar.title.text.startsWith('{name}')")
@@ -160,7 +163,7 @@ def test_figures_have_the_data_of_the_report():
     np.testing.assert_allclose(
         np.stack([last.data[0][axis] for axis in "xyz"], axis=1),
         scene.points + 2 * scene.scale * scene.displacement,
-        atol=1e-6,
+        atol=3.0 / 2**13,  # of beams that are 3 m long
     )
     errors = [entry["error"] for entry in report["passes"]]
     assert len(errors) > 1 and list(page._passes(report["passes"]).data[0].y) == errors

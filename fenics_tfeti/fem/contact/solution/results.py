@@ -48,6 +48,10 @@ class ContactEntry(ContactForces):
         contact.
     tension, shortening : float or None
         Of a bolt: force in the shank along its axis [N], and by how much it is shortened [m].
+    largest_pressure : float or None
+        The largest contact pressure at a node [Pa]; None of tied pairs.
+    pressing : int
+        How many nodes press.
     """
 
     matching: dict[str, Any]
@@ -56,6 +60,8 @@ class ContactEntry(ContactForces):
     penetration: float | None = None
     tension: float | None = None
     shortening: float | None = None
+    largest_pressure: float | None = None
+    pressing: int = 0
 
     def seen_from_master(self) -> ContactEntry:
         """Return the entry with the forces on slave and master exchanged."""

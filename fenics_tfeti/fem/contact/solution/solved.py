@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TypeGuard
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import Function
@@ -110,14 +112,16 @@ class SolvedContacts:
         return replace(self, contacts=contacts)
 
     def as_given(self) -> Results:
-        """Return the results by number, in the roles that the user gave."""
+        """Return the results by number, in the roles that the user gave. Collective."""
         numbered: dict[int, ContactResult | TiedResult] = {}
         parts: dict[int, list[ContactResult]] = {}
         for found, result in zip(self.contact_set.contacts, self.contacts, strict=True):
             is_exchanged = found.roles.used is not found.roles.given
             result = result.seen_from_master() if is_exchanged else result
             parts.setdefault(found.number, []).append(result)
-        numbered |= {number: ContactResult.joined(results) for number, results in parts.items()}
+        joined = [ContactResult.joined(results) for results in parts.values()]
+        comm = self.contact_set.boundary.nodes.comm
+        numbered |= dict(zip(parts, _with_pressures(joined, comm), strict=True))
         for tie, tied_result in zip(self.contact_set.ties, self.ties, strict=True):
             numbered[tie.number] = tied_result
         return Results([numbered[number] for number in sorted(numbered)])
@@ -159,6 +163,18 @@ class SolvedContacts:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
         solved = gather_solved(self.contact_set.all_conditions, self.contacts, self.displacement)
         return dict(zip(self.contact_set.keys, solved, strict=True))
+
+
+def _with_pressures(results: list[ContactResult], comm: MPI.Intracomm) -> list[ContactResult]:
+    """Add largest pressures, and numbers of nodes that press, to the entries. Collective."""
+    largest = np.array([result.pressure.max(initial=0.0) for result in results])
+    pressing = np.array([np.count_nonzero(r.nodal_normal_force > 0.0) for r in results], dtype=int)
+    comm.Allreduce(MPI.IN_PLACE, largest, MPI.MAX)
+    comm.Allreduce(MPI.IN_PLACE, pressing)
+    return [
+        replace(result, entry=replace(result.entry, largest_pressure=p, pressing=k))
+        for result, p, k in zip(results, largest.tolist(), pressing.tolist(), strict=True)
+    ]
 
 
 def _is_hard(contact: Contact) -> TypeGuard[ContactPair]:
