@@ -129,7 +129,7 @@ def solve(**options):
 
 # ## With and without deflation, and without cords
 #
-# The products with F that an accuracy takes. Without cords, all is rubber but for the punch.
+# The iterations that an accuracy takes. Without cords, all is rubber but for the punch.
 
 tolerances = np.array(sys.argv[1:] or [1e-1, 1e-3, 1e-6], dtype=float)
 cases = {
@@ -155,7 +155,7 @@ report = problem.report
 if comm.rank == 0:
     vectors, memory = report.deflation["vectors"], report.deflation["bytes"]
     for name, counts in products.items():
-        print(f"{name}: {counts[-1]} products with F at rtol {tolerances[-1]:.0e}")
+        print(f"{name}: {counts[-1]} iterations at rtol {tolerances[-1]:.0e}")
     print(f"deflation: {vectors} vectors, {memory / 1e6:.1f} MB")
 
 # ## Pictures
@@ -179,7 +179,7 @@ draw_deformed(
 draw_profile(
     results / "fibre_block_products.png",
     curves,
-    xlabel="products with F",
+    xlabel="iterations",
     ylabel="log10 of the relative error",
     title="With and without deflation",
 )

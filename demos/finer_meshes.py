@@ -80,7 +80,7 @@ def new_problem(n):
 
 
 def effort(report):
-    """Format products with F, applications of the preconditioner, and active sets."""
+    """Format iterations, applications of the preconditioner, and active sets."""
     products = report.products
     return f"{products['total']:3d} + {products['preconditioner']:3d}, sets: {len(report.faces)}"
 

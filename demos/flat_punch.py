@@ -96,7 +96,7 @@ for name, gdim, style in (("strip", 2, "s"), ("disc", 3, "o")):
     errors[name] = np.abs(p[inner] * np.sqrt(1 - r[inner] ** 2) / factor - 1).max()
     if comm.rank == 0:
         products = problem.report.products["total"]
-        print(f"{name}: error up to 3/4 a at most {errors[name]:.2%}, {products} products with F")
+        print(f"{name}: error up to 3/4 a at most {errors[name]:.2%}, {products} iterations")
         if gdim == 3:
             exact = 2 * a * E_star * delta
             print(f"  F = {F:.2f} N, 2 a E* delta = {exact:.2f} N  {F / exact - 1:+.2%}")

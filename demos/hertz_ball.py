@@ -103,7 +103,7 @@ for cells, style in (("tetrahedra", "^"), ("hexahedra", "o")):
     curves[cells] = (1e3 * r, 1e-6 * p, style)
     if comm.rank == 0:
         products = problem.report.products["total"]
-        print(f"{cells}: force {F:.2f} N, given {force:.2f} N, {products} products with F")
+        print(f"{cells}: force {F:.2f} N, given {force:.2f} N, {products} iterations")
         print(f"  a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {errors[cells][0]:+.2%}")
         print(f"  p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {errors[cells][1]:+.2%}")
 radius = np.linspace(0, 1.5 * a, 400)

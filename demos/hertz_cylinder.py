@@ -93,7 +93,7 @@ for (name, (R, obstacle)), style in zip(cases.items(), ("o", "s"), strict=True):
     a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
     errors[name] = a_fit / a - 1, p0_fit / p0 - 1
     if mesh.comm.rank == 0:
-        print(f"{name}: {problem.report.products['total']} products with F")
+        print(f"{name}: {problem.report.products['total']} iterations")
         print(f"  a  = {1e3 * a_fit:7.4f} mm,  Hertz {1e3 * a:7.4f}  {errors[name][0]:+.2%}")
         print(f"  p0 = {1e-6 * p0_fit:7.3f} MPa, Hertz {1e-6 * p0:7.3f}  {errors[name][1]:+.2%}")
     line = np.linspace(0, a, 400)

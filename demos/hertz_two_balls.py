@@ -100,7 +100,7 @@ inner = p > 0.3 * p.max()
 slope, intercept = np.polyfit(r[inner] ** 2, p[inner] ** 2, 1)
 a_fit, p0_fit = np.sqrt(-intercept / slope), np.sqrt(intercept)
 if mesh.comm.rank == 0:
-    print(f"F  = {F:8.2f} N, given {force:.2f} N, {report.products['total']} products with F")
+    print(f"F  = {F:8.2f} N, given {force:.2f} N, {report.products['total']} iterations")
     print(f"a  = {1e3 * a_fit:8.4f} mm,  Hertz {1e3 * a:8.4f}  {a_fit / a - 1:+.2%}")
     print(f"p0 = {1e-6 * p0_fit:8.3f} MPa, Hertz {1e-6 * p0:8.3f}  {p0_fit / p0 - 1:+.2%}")
 

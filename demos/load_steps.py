@@ -123,8 +123,8 @@ for fraction in loading + unloading:
     tell(f"{F:8.2f} N: radius {1e3 * radius:.4f} mm ({error:+.2%} to Hertz)")
 
 (again, again_seconds), (scratch, scratch_seconds) = np.sum(costs[1:], axis=0)
-tell(f"after the first step: {again:.0f} products with F, {again_seconds:.2f} s")
-tell(f"from scratch:         {scratch:.0f} products with F, {scratch_seconds:.2f} s")
+tell(f"after the first step: {again:.0f} iterations, {again_seconds:.2f} s")
+tell(f"from scratch:         {scratch:.0f} iterations, {scratch_seconds:.2f} s")
 tell(f"reused from the step before: {', '.join(problem.report.reused)}")
 
 # For the same force the radius is the same in loading and in unloading.

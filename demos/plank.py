@@ -125,7 +125,7 @@ first_contact = h * columns[solution.active].min()
 print(f"lifting force {lifting_force:.0f} N, by beam theory {V:.0f} N")
 print(f"lifted length {first_contact:.2f} m, by beam theory {s:.2f} m")
 print(f"weight {q * length:.0f} N, lifted and carried {lifting_force + floor_force:.0f} N")
-print(f"{report.products['total']} products with F, error {report.certificate.error:.1e}")
+print(f"{report.products['total']} iterations, error {report.certificate.error:.1e}")
 
 # The displacements come by subdomain, in the order of its nodes.
 

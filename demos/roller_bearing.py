@@ -181,7 +181,7 @@ if comm.rank == 0:
     products = sum(one_pass.products for one_pass in report.passes)
     print(
         f"{report.unknowns['primal']} unknowns, {report.subdomains} subdomains of {report.classes} "
-        f"shapes, {products} products with F in {len(report.passes)} passes"
+        f"shapes, {products} iterations in {len(report.passes)} passes"
     )
     print(f"{len(report.free_motions)} free motions; balance {balance / radial:.1e} of the load")
     for row in rows:

@@ -124,7 +124,7 @@ x, misfit = pressures()
 worst = comm.allreduce(np.abs(misfit[x < 0.95 * w]).max(initial=0.0), MPI.MAX)
 if comm.rank == 0:
     print(f"J from {first:.3f} to {last:.4f} in {found.nfev} solves and as many adjoints")
-    print(f"products with F: {products['solves']} and {products['adjoints']}")
+    print(f"iterations: {products['solves']} and {products['adjoints']}")
     print(f"pressure on the strip within {worst:.1%} of its mean, {mean / 1e6:.1f} MPa")
     print("crown [um]:", *(f"{height:.1f}" for height in 1e6 * heights))
 

@@ -148,7 +148,7 @@ a_fit, p_fit = np.sqrt(-p_fit2 / slope), np.sqrt(p_fit2)
 print(f"force {2 * report.contacts[0].normal_force:.6g} N/m of {force:.6g} N/m")
 print(f"half-width {1e3 * a_fit:.1f} mm, by Hertz {1e3 * a:.1f} mm")
 print(f"largest pressure {1e-6 * p_fit:.1f} MPa, by Hertz {1e-6 * p_0:.1f} MPa")
-print(f"{report.subdomains} subdomains, {report.products['total']} products with F")
+print(f"{report.subdomains} subdomains, {report.products['total']} iterations")
 
 figure, axes = pyplot.subplots(figsize=(6, 3), layout="constrained")
 near = x <= 1.5 * a

@@ -105,7 +105,7 @@ report = problem.report
 contact = problem.results[0].gather()
 if mesh.comm.rank == 0:
     print(f"{report.unknowns['primal']} unknowns in {report.subdomains} subdomains")
-    print(f"{report.products['total']} products with F, error {report.certificate.worst:.1e}")
+    print(f"{report.products['total']} iterations, error {report.certificate.worst:.1e}")
     print(f"contact force {report.contacts[0].normal_force:.6e} N")
 
 stress = von_mises(mesh, sigma(uh))

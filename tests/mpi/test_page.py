@@ -1,6 +1,7 @@
 """The page of a problem on several ranks."""
 
 import base64
+import gzip
 import re
 
 from mpi4py import MPI
@@ -28,7 +29,9 @@ def test_rank_0_writes_the_whole(shared_folder):
         problem.report.to_html(folder / "page.html", uh, [uh])
     COMM.barrier()
     text = (folder / "page.html").read_text()
-    (kind, corners), *_ = re.findall(r'"i":\{"dtype":"(\w+)","bdata":"(.*?)"', text)
+    (packed,) = re.findall(r'id="packed">(.*?)</script>', text)
+    code = gzip.decompress(base64.b64decode(packed)).decode()
+    (kind, corners), *_ = re.findall(r'"i":\{"dtype":"(\w+)","bdata":"(.*?)"', code)
     # two beams of 4 x 2 squares in two triangles each; Plotly writes a slash as \u002f
     content = base64.b64decode(corners.replace("\\u002f", "/"))
     assert np.frombuffer(content, kind).size == 2 * 2 * 8

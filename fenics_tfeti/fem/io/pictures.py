@@ -103,9 +103,9 @@ def draw_deformed(
     limits : tuple of 2 floats, optional
         What the ends of the colour bar stand for, in its unit; values beyond have the colours of
         the ends. By default the lower end is the least value, and the upper one is that which
-        0.5 % of the values above the least exceed, so that a singular cell does not make all else
-        pale; the largest value is written below then. Pictures of one animation should have the
-        same limits.
+        0.5 % of the values above the least exceed, if the largest value is more than 1.25 times as
+        far from the least: a singular cell does not make all else pale. The largest value is
+        written below then. Pictures of one animation should have the same limits.
     size : tuple of int
         Width and height [pixels].
 
@@ -207,7 +207,7 @@ def _range(field: Function) -> Vector:
 
     They are the least one, that which few of the values above the least exceed, and the largest.
     """
-    share = 0.995  # of the values, below the upper end of the colour bar
+    share, much = 0.995, 1.25  # of values below the upper end; the largest one is much larger
     nodes = NodeMap(field.function_space)
     rows = nodes.values(field)[: nodes.owned]
     values = rows.ravel() if rows.shape[1] == 1 else np.linalg.norm(rows, axis=1)
@@ -215,7 +215,7 @@ def _range(field: Function) -> Vector:
     low, high = values.min(), values.max()
     above = values[values > low]
     most = np.quantile(above, share, method="higher") if above.size else high
-    return np.array([low, most, high])
+    return np.array([low, most if high - low > much * (most - low) else high, high])
 
 
 def draw_profile(
