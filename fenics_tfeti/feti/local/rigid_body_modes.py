@@ -14,7 +14,7 @@ from fenics_tfeti.typing import Vector
 _NO_ROTATION = 1e-7
 # distance of a pole from the body, relative to its size, from which on a rotation looks like a
 # translation
-_AS_WIDE = 10.0
+_AS_WIDE = 4.0
 
 
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
