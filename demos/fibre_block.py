@@ -129,7 +129,7 @@ def solve(**options):
 
 # ## With and without deflation, and without cords
 #
-# The iterations that an accuracy takes. Without cords, all is rubber but for the punch.
+# The iterations that an accuracy takes. Without cords, all is rubber except for the punch.
 
 tolerances = np.array(sys.argv[1:] or [1e-1, 1e-3, 1e-6], dtype=float)
 cases = {

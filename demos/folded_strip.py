@@ -125,7 +125,7 @@ draw_profile(
         "down": (1e3 * way[:-1], [0, *loading], "-"),
         "up": (1e3 * way[1:-1], unloading, "o"),
     },
-    xlabel="way of the plate [mm]",
+    xlabel="travel of the plate [mm]",
     ylabel="force [N/m]",
     title="A folded strip, pressed and let go",
 )

@@ -186,7 +186,7 @@ if comm.rank == 0:
     above.add_collection(drawn)
     figure.colorbar(drawn, ax=above, label="von Mises [MPa]")
     below.set(xlim=(0, way[-1] / mm), ylim=(1.1 * H.min(), 1.1 * H.max()))
-    below.set(xlabel="way of the clip [mm]", ylabel="force [N/m]")
+    below.set(xlabel="travel of the clip [mm]", ylabel="force [N/m]")
     below.axhline(0.0, color="#d5d8dc")
     (curve,) = below.plot([], [], "o-", markevery=[-1])
 

@@ -46,7 +46,7 @@ script = runpy.run_path(sys.argv[1])
 image = np.zeros((40, 400, 3), dtype=np.uint8)
 image[:, :, 0] = 255
 data = {"size": np.array([1600, 1000]), "title": "", "note": "", "colour_map": "Greys",
-        "label": "mmmmmmmmmm stress [MPa]"}
+        "label": "mmmmmmmmmm stress [MPa]", "exceeded": False}
 script["compose"](data, image, (0.0, 1.0), sys.argv[2])
 pixels = imread(sys.argv[2])[:, :, :3]
 red = (pixels[:, :, 0] > 0.9) & (pixels[:, :, 1] < 0.1)
