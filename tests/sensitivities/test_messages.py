@@ -12,7 +12,15 @@ from sensitivity_scenes import block_on_roller, blocks
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Coulomb, Deformed, InputError, RigidBody, SoftContact, UnresistedMotion
+from fenics_tfeti import (
+    Coulomb,
+    Deformed,
+    InputError,
+    RigidBody,
+    RoughContact,
+    SoftContact,
+    UnresistedMotion,
+)
 
 
 @pytest.fixture(scope="module")
@@ -54,6 +62,15 @@ def test_parameter(scene):
     assert "rigid obstacle" in message(lambda: adjoint.by_obstacle("joint"))
     assert "no rigid body 'disc'" in message(lambda: adjoint.by_load("disc"))
     assert "'w' stands in no form" in message(lambda: scene.problem.tangent({unknown: unknown}))
+
+
+def test_what_rough_contact_has_no_derivatives_by():
+    law = RoughContact(lambda d: 50.0 * d.clip(0) ** 2, lambda d: 100.0 * d.clip(0))
+    made = blocks(n=3, m=3, law=law)
+    made.solve()
+    adjoint = made.problem.adjoint(made.J)
+    assert "has no law with a number" in message(lambda: adjoint.by_law("joint"))
+    assert "know no law RoughContact" in message(adjoint.by_nodes)
 
 
 def test_solutions_of_other_data():

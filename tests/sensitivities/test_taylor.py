@@ -98,6 +98,7 @@ FACTORS = {
     ("exact gaps, 3D, Coulomb", "coefficient"): 0.2,
     ("exact gaps, obstacle", "modulus"): 4.0,
     ("law, obstacle", "law"): 20.0,
+    ("law, rough", "gap"): 20.0,
 }
 
 
@@ -116,6 +117,9 @@ def solved(kind):
 def has(kind, name):
     # with exact gaps they are those of the mesh
     if name == "gap" and any(other in kind for other in ("obstacle", "tied", "body", "exact")):
+        return False
+    # a law of the approach has no numbers at nodes, which stay where they are
+    if kind == "law, rough" and name in ("law", "nodes"):
         return False
     law = {"bound": "Tresca", "coefficient": "Coulomb", "law": "law", "elastic slip": "elastic"}
     return law.get(name, "") in kind
