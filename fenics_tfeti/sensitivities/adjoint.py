@@ -427,7 +427,7 @@ class Adjoint(Derivatives):
         self._state.check_current()
         state, own = self._state, self._state.rows_of(name)
         laws = [found.law for found, _ in state.parts_of(name)]
-        if any(law is None for law in laws):
+        if any(law is None or law.touching is not None for law in laws):
             raise InputError(f"contact {name!r} has no law with a number at each node")
         contacts, on = state.linear.system.contacts, state.linear.active
         areas, force = state.areas, state.normal_force
