@@ -70,7 +70,7 @@ def test_what_rough_contact_has_no_derivatives_by():
     made.solve()
     adjoint = made.problem.adjoint(made.J)
     assert "has no law with a number" in message(lambda: adjoint.by_law("joint"))
-    assert "know no law RoughContact" in message(adjoint.by_nodes)
+    assert "know no law RoughContact" in message(adjoint.by_mesh)
 
 
 def test_solutions_of_other_data():
