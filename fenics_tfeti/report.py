@@ -239,7 +239,7 @@ class ContactReport(Report):
         """Return how each contact was matched, or `most` of them, as a table to read.
 
         Names are cut to 30 characters, columns without an entry are left out, and columns beyond
-        the width of 100 characters stand in a table below.
+        the width of 90 characters stand in a table below.
         """
         if not self.contacts:
             return ""
@@ -276,8 +276,8 @@ _COLUMNS = {
 
 
 def _table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows, the first of them titles, as a table of 100 columns, or as several of them."""
-    width, longest = 100, 30
+    """Return rows, the first of them titles, as a table of 90 characters, or as several of them."""
+    width, longest = 90, 30
     names, *columns = [list(column) for column in zip(*rows, strict=True)]
     names = [f"{name[: longest - 3]}..." if len(name) > longest else name for name in names]
     names = [name.ljust(max(map(len, names))) for name in names]

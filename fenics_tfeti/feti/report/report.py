@@ -265,10 +265,10 @@ def unfolded(lists: Mapping[str, Sequence[str]]) -> list[tuple[str, str]]:
 
 
 def as_lines(rows: Sequence[tuple[str, str]]) -> str:
-    """Return lines to read of at most 100 characters, each with its title."""
+    """Return lines to read of at most 90 characters, each with its title."""
     lines = []
     for name, value in rows:
-        wrapped = textwrap.wrap(value, 82, break_long_words=False, break_on_hyphens=False)
+        wrapped = textwrap.wrap(value, 72, break_long_words=False, break_on_hyphens=False)
         titles = [name, *[""] * (len(wrapped) - 1)]
         lines += [f"{title:>16}  {line}" for title, line in zip(titles, wrapped, strict=True)]
     return "\n".join(lines)

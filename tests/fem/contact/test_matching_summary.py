@@ -49,14 +49,14 @@ def test_report_has_the_summary(tmp_path):
     head, line, *more = problem.report.matching_table().splitlines()
     assert head.split()[:3] == ["contact", "discretisation", "pairs"]
     assert line == "contact 0 (pair)    node_to_node      4" + line[39:]
-    # columns without an entry are left out; what is beyond 100 characters is below
+    # columns without an entry are left out; what is beyond 90 characters is below
     assert line.split()[-5:] == ["4", "0", "0", "0", "0"]
     assert [text.split()[-2:] for text in more] == [["[m]", "area"], ["0", "1"]]
     assert "deviation" not in head + more[0]
     long = dataclasses.replace(found[0], matching={**found[0].matching, "contact": 40 * "x"})
     report = dataclasses.replace(problem.report, contacts=[*found, long])
     lines = str(report).splitlines()
-    assert max(map(len, lines)) <= 100
+    assert max(map(len, lines)) <= 90
     assert any(text.startswith(27 * "x" + "... ") for text in lines)
 
 
