@@ -14,7 +14,7 @@ from fenics_tfeti.plan import MESHES, Model, Plan, main, plans
 
 # docs/performance.rst, one machine: subdomains a metre, processor seconds, MB of one rank
 LADDERS = [(3, 0.8, 239), (5, 3.3, 543), (7, 9.5, 1245), (9, 23.2, 2737), (18, 279, 22_589)]
-BEAMS = [(5, 8.6, 866), (7, 18.8, 2129)]
+BEAMS = [(5, 8.6, 866), (7, 18.8, 2129), (14, 232, 17_711)]
 # unknowns, ranks, processor seconds, MB of all ranks
 GENERAL = [
     (96_504, 1, 2.07, 487),
