@@ -95,7 +95,8 @@ def find_symmetries(stiffness: sp.csr_matrix, coordinates: Vector) -> SymmetryGr
             np.array_equal(Q @ generator, generator @ Q) for generator in generators
         ):
             continue
-        distance, nearest = tree.query(x @ Q.T)
+        # with a bound the search of a node that has no image ends at once
+        distance, nearest = tree.query(x @ Q.T, distance_upper_bound=2.0 * tolerance)
         if distance.max(initial=0.0) > tolerance:
             continue
         image, sign = _of_unknowns(nearest, Q)
