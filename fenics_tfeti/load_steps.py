@@ -223,12 +223,51 @@ class SteppedProblem(ABC, Generic[AnyReport]):
             and contact.rigid_body is None
         ]
         if colour is None:
-            pressure = contact_fields(self.space, self.results).pressure
-            largest = largest_of_ranks(self.space.mesh.comm, pressure.x.array)
-            quantity, colour = ("pressure", pressure) if largest > 0.0 else ("length", None)
-            largest = largest if largest > 0.0 else self.report.largest_displacement
+            quantity, largest, colour = "length", self.report.largest_displacement, self._pressure()
+            if colour is not None:
+                quantity = "pressure"
+                largest = largest_of_ranks(self.space.mesh.comm, colour.x.array)
             defaults["unit"] = units.readable(quantity, largest)
         draw_deformed(path, self.u, colour, **defaults | options)
+
+    def to_html(
+        self,
+        path: str | os.PathLike[str],
+        fields: Sequence[Function] | None = None,
+        title: str = "Contact problem",
+    ) -> None:
+        """Write the report with the deformed bodies as a page for a browser. Collective.
+
+        Parameters
+        ----------
+        path : path-like
+            File to write or replace.
+        fields : sequence of dolfinx.fem.Function, optional
+            Scalars to colour the bodies by; the first one is seen first. By default the contact
+            pressure on the slaves, where anything presses.
+        title : str
+            The heading.
+
+        Raises
+        ------
+        InputError
+            If nothing was solved, or an argument is wrong; see `ContactReport.to_html` for other
+            errors.
+
+        Examples
+        --------
+        >>> problem.to_html("joint.html", title="Joint under 5 kN")  # doctest: +SKIP
+        """
+        if fields is None:
+            pressure = self._pressure()
+            fields = [] if pressure is None else [pressure]
+        self.report.to_html(path, self.u, fields, title)
+
+    def _pressure(self) -> Function | None:
+        """Return the contact pressure on the slaves; None where nothing presses. Collective."""
+        pressure = contact_fields(self.space, self.results).pressure
+        largest = largest_of_ranks(self.space.mesh.comm, pressure.x.array)
+        return pressure if largest > 0.0 else None
 
     def reset_slip(self) -> None:
         """Count slip in the next solve as in the first one.

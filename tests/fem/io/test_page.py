@@ -51,6 +51,29 @@ def written(request, tmp_path_factory):
     return path
 
 
+@pytest.mark.parametrize(("given", "shown"), [(None, ["contact_pressure"]), ([], [])])
+def test_field_that_a_problem_shows_first(tmp_path, monkeypatch, given, shown):
+    """By default the contact pressure."""
+    problem, uh, _ = solved("triangle")
+    drawn = []
+    monkeypatch.setattr(
+        type(problem.report), "to_html", lambda report, *arguments: drawn.append(arguments)
+    )
+    problem.to_html(tmp_path / "page.html", given)
+    ((path, displacement, fields, title),) = drawn
+    assert (path.name, displacement, title) == ("page.html", uh, "Contact problem")
+    assert [field.name for field in fields] == shown
+
+
+def test_page_of_what_does_not_press(tmp_path):
+    scene = scenes.two_beams(MPI.COMM_SELF, "triangle", 2, gap=1.0)
+    scene.traction.value = 0.0 * scene.traction.value
+    problem = scene.problem()
+    problem.solve()
+    problem.to_html(tmp_path / "page.html")
+    assert (tmp_path / "page.html").exists()
+
+
 @pytest.fixture(scope="module")
 def browser():
     sync_api = pytest.importorskip("playwright.sync_api")
