@@ -14,7 +14,7 @@ from fenics_tfeti.typing import Vector
 _NO_ROTATION = 1e-7
 # distance of a pole from the body, relative to its size, from which on a rotation looks like a
 # translation
-_AS_WIDE = 4.0
+_AS_WIDE = 2.0
 
 
 def raw_modes(coordinates: Vector, origin: Vector) -> Vector:
@@ -135,7 +135,7 @@ def describe_motion(
     rotates = size * np.linalg.norm(rotation) > negligible * amount
     if rotates:
         pole, translation_of_pole = _pole(centre, translation, rotation)
-        # a rotation about a point that is far beside its size looks like a translation
+        # a rotation about a point farther than the body is wide looks like a translation
         if np.linalg.norm(pole - centre) <= _AS_WIDE * size:
             centre, translation = pole, translation_of_pole
     if np.linalg.norm(translation) > negligible * amount:

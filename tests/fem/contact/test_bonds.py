@@ -120,7 +120,7 @@ def test_snap_back_is_passed_and_told():
     assert report.path[-1].factor == 1.0
     assert np.abs(problem.results["bond"].nodal_normal_force).max() == 0.0
     assert report.dissipated["bond"] == pytest.approx(0.01, rel=1e-6)
-    assert "steps back" in str(problem.report)
+    assert "steps back" in " ".join(str(problem.report).split())
 
 
 def test_loads_beyond_what_bonds_carry():

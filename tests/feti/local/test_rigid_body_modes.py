@@ -25,8 +25,8 @@ K = CUBE.stiffness.toarray()
         ((0, 0), [0, -3, 0], "translation along (0, -1)"),
         ((0, 2), [0, 0, 5], "rotation through (0, 2)"),
         ((0, 2), [0, 0.5, 1], "rotation through (-0.5, 2)"),
-        ((-2.95, 1), [0, 0, 1], "rotation through (-2.95, 1)"),
-        ((-3.05, 1), [0, 0, 1], "translation along (0, 1) with rotation through (1, 1)"),
+        ((-0.95, 1), [0, 0, 1], "rotation through (-0.95, 1)"),
+        ((-1.05, 1), [0, 0, 1], "translation along (0, 1) with rotation through (1, 1)"),
         ((0, 2, 1), [0, 0, 0, 0, 0, 7], "rotation about the axis (0, 0, 1) through (0, 2, 1)"),
         (
             (0, 2, 1),
