@@ -398,7 +398,7 @@ class SteppedProblem(ABC, Generic[AnyReport]):
         """Check the present supports, contacts and displacement, which the user may have set."""
         with raise_collectively(self.space.mesh.comm):
             self.bcs = as_conditions(self.bcs)
-            self.contacts = as_contacts(self.contacts, self._exact)
+            self.contacts = as_contacts(self.contacts, self._exact, self._has_finite_strains)
             self.u = as_displacement(self.u, self.space)
 
     def _check_coarse(self, coarse: Any) -> None:

@@ -18,6 +18,7 @@ from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.descriptions.arguments import as_residual
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
+from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
@@ -414,6 +415,12 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             if self._end is None or not (self._is_solved and self.report.converged):
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
             check_functional(J, self.u)
+            for number, contact in enumerate(self.contacts):
+                if getattr(contact, "law", None) is not None:
+                    raise InputError(
+                        f"{contact_name(contact, number)}: derivatives at finite strains know no "
+                        "SoftContact. Leave it out, or difference solves"
+                    )
         end = self._end
         forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, J, self.u)
         if not self._is_current():

@@ -122,6 +122,7 @@ class ContactHessian:
         ]
         force = load_case.torn.sum_at_nodes(self.exact, parts) + pressed + turned
         gap = _difference(self._gap, face.distances_of(rows)) / eps
+        gap[: face.held.size] -= face.rows.compliance * self._normal_of_changes(change.forces)
         tied_gap = _difference(self._tied_gap, rows.tied.gap / rows.tied.length) / eps
         tied_gap += self._shortened(change)
         force = load_case.at_free(force, face.rows)
@@ -150,6 +151,10 @@ class ContactHessian:
         changed[face.rows.place] += normal / self.base.rows.contacts.length
         at_bounds = rows.at_bounds(replace(multipliers, normal=changed))
         return replace(at_bounds, normal=multipliers.normal)
+
+    def _normal_of_changes(self, forces: RowValues) -> Vector:
+        """Return the changes of the normal forces (k,) of the contact rows [N]."""
+        return self.face.rows.normal_forces(self.base.changes_of(forces))
 
     def _of_changes(self, forces: RowValues) -> tuple[Vector, Vector]:
         """Return B'dP at the mesh's nodes, and beyond them what it has more than that of M."""

@@ -75,6 +75,19 @@ class DeformedRows:
         """Distances of the surfaces at each row (k,) [m], negative inside."""
         return self.contacts.gap / self.contacts.length
 
+    @property
+    def compliance(self) -> Vector:
+        """How far a unit of force closes each row that presses (k,) [m/N]; zero is rigid."""
+        return np.asarray(self.contacts.compliance)[:, 0]
+
+    def given_way(self, multipliers: Multipliers) -> Vector:
+        """Return how far springs give way (k,) [m]."""
+        return self.compliance * self.normal_forces(multipliers)
+
+    def distances_under(self, multipliers: Multipliers) -> Vector:
+        """Return distances (k,) without what springs give way by: zero of rows that press [m]."""
+        return self.distance + self.given_way(multipliers)
+
     def excess(self, multipliers: Multipliers, stiffness: float, negligible: float) -> Vector:
         """Return by how much forces break the law of friction, (k,) at each site [N].
 
@@ -256,7 +269,8 @@ class Equilibrium:
         if nodes.comm.rank == 0:
             squares[0] += (left**2).sum()
         residual, reaction, pressing = np.sqrt(nodes.comm.allreduce(squares)).tolist()
-        distance = np.where(np.isfinite(rows.distance), rows.distance, np.inf)
+        distance = rows.distances_under(multipliers)
+        distance = np.where(np.isfinite(distance), distance, np.inf)
         counts = np.isfinite(distance) & (np.abs(distance) > rounding.length(size))
         loaded = multipliers.normal[rows.place] > 0.0
         penetration = largest_of_ranks(nodes.comm, -distance[counts])

@@ -130,10 +130,33 @@ class Face:
         forces = self.rows.normal_forces(self.multipliers) + changes[: self.held.size]
         return self.held & (forces < 0.0)
 
+    @property
+    def soft(self) -> Mask:
+        """The held rows (contact rows,) with springs, whose forces may change by either sign."""
+        return self.held & (self.rows.compliance > 0.0)
+
+    @cached_property
+    def held_forces(self) -> Multipliers:
+        """The multipliers of held rows alone."""
+        normal = np.zeros_like(self.multipliers.normal)
+        place = self.rows.place[self.held]
+        normal[place] = self.multipliers.normal[place]
+        return replace(self.multipliers, normal=normal)
+
     @cached_property
     def contacts(self) -> ContactRows:
-        """The contact rows, and after them the tangential rows that hold."""
-        contacts = replace(self.rows.contacts, held=self.held)
+        """The contact rows, and after them the tangential rows that hold.
+
+        Gaps are without what springs have given way by already.
+        """
+        contacts, compliance = self.rows.contacts, np.array(self.rows.contacts.compliance)
+        compliance[self.soft, 1] = compliance[self.soft, 0]
+        contacts = replace(
+            contacts,
+            gap=contacts.gap + contacts.length * self.rows.given_way(self.held_forces),
+            held=self.held & ~self.soft,
+            compliance=compliance,
+        )
         if not self.sticks.any():
             return contacts
         tangential = self._friction(self.sticks).tangential_rows(contacts)
@@ -157,11 +180,12 @@ class Face:
     def distances_of(self, rows: DeformedRows) -> Vector:
         """Return the distances of other rows at the nodes of `contacts`, NaN where there are none.
 
-        At tangential rows they are slips as `Friction.slip` [m].
+        Springs give way by the forces of held rows. At tangential rows distances are slips as
+        `Friction.slip` [m].
         """
         distance = np.full(self.multipliers.normal.size, np.nan)
         slip = np.full((distance.size, rows.friction.tangents.shape[1]), np.nan)
-        distance[rows.place] = rows.distance
+        distance[rows.place] = rows.distances_under(self.held_forces)
         slip[rows.place[rows.friction.row]] = rows.friction.slip
         at_sites = self.rows.place[self.rows.friction.row[self.sticks]]
         return np.append(distance[self.rows.place], slip[at_sites].ravel())
@@ -177,7 +201,7 @@ class Face:
         """
         rows, before = self.rows, self.multipliers
         normal, of_sticking = np.split(part * changes.normal, [rows.contacts.size])
-        kept = self.held & has_row[: rows.contacts.size]
+        kept = self.held & (self.soft | has_row[: rows.contacts.size])
         kept = np.where(kept, rows.normal_forces(before), 0.0)
         pressing = np.maximum(kept + normal, 0.0)
         forces, slipping = rows.friction_forces(before), np.zeros(rows.friction.size, dtype=bool)

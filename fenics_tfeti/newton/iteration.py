@@ -433,7 +433,8 @@ class NewtonIteration:
         """Name the contact whose surfaces are farthest from touching, if any. Collective."""
         rows, names = state.rows, state.rows.contact_set.names
         pressing = state.multipliers.normal[rows.place] > 0.0
-        distance = np.where(pressing, np.abs(rows.distance), -rows.distance)
+        distance = rows.distances_under(state.multipliers)
+        distance = np.where(pressing, np.abs(distance), -distance)
         is_wrong = np.isfinite(distance)
         number = rows.contacts.contact[is_wrong]
         comm = self._load_case.torn.nodes.comm

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from mpi4py import MPI
+
 import numpy as np
 
 from dolfinx.fem import Function
@@ -159,12 +161,23 @@ class LoadCase:
         torn, contacts = self.torn, face.rows.contact_set
         values, nodes, prescribed = torn.nodes.values(self.u), torn.nodes, contacts.prescribed
         subdomains = torn.torn.assemble()
-        for i, s in enumerate(subdomains):
-            x = s.coordinates + values[nodes.to_local(s.nodes)]
-            deformed = replace(s, coordinates=x)
-            # one that was only shifted has small strains still; its neighbours may be deformed
-            if not has_small_strains(s) or has_small_strains(deformed):
-                subdomains[i] = deformed
+        deformed = [
+            replace(s, coordinates=s.coordinates + values[nodes.to_local(s.nodes)])
+            for s in subdomains
+        ]
+        # a body whose strains are small has the undeformed ones; those of its subdomains that were
+        # only shifted would do with both
+        large, fixed = np.zeros((2, torn.bodies.deformable), dtype=bool)
+        for s, moved in zip(subdomains, deformed, strict=True):
+            is_small = has_small_strains(s)
+            large[s.body] |= not is_small
+            fixed[s.body] |= is_small and not has_small_strains(moved)
+        for flags in large, fixed:
+            nodes.comm.Allreduce(MPI.IN_PLACE, flags, MPI.LOR)
+        is_linear = fixed & ~large
+        subdomains = [
+            s if is_linear[s.body] else moved for s, moved in zip(subdomains, deformed, strict=True)
+        ]
         subdomains += contacts.added_subdomains(torn.bodies.deformable)
         local = nodes.to_local(prescribed.nodes)
         increment = prescribed.values - values[local, prescribed.components]

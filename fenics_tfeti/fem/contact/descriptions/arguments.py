@@ -17,7 +17,7 @@ from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
-from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact, SoftContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -95,10 +95,11 @@ def as_rigid_bodies(rigid_bodies: Any) -> dict[int, RigidBody]:
     return {int(tag): body for tag, body in rigid_bodies.items()}
 
 
-def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
+def as_contacts(contacts: Any, exact: str = "", may_be_soft: bool = False) -> list[Contact | Tie]:
     """Return the contacts and ties as a list: none for None, one for a single one.
 
-    `exact` names for messages what measures gaps on the deformed mesh, if anything does.
+    `exact` names for messages what measures gaps on the deformed mesh, if anything does; contact
+    may be soft there, or not.
     """
     kinds = (
         "ContactPair, RigidObstacle, SelfContact, TiedPair, PeriodicPair, BoltPreload or LinearRows"
@@ -117,7 +118,7 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
             "RoughContact and Cohesive need solves of their own. Take SoftContact beside bonds"
         )
     for number, contact in enumerate(listed if exact else []):
-        _check_hard(contact, contact_name(contact, number), exact)
+        _check_hard(contact, contact_name(contact, number), exact, may_be_soft)
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
             raise InputError(
                 f"{contact_name(contact, number)}: initial_gap={contact.initial_gap!r} replaces "
@@ -127,9 +128,10 @@ def as_contacts(contacts: Any, exact: str = "") -> list[Contact | Tie]:
     return listed
 
 
-def _check_hard(contact: Any, name: str, exact: str) -> None:
+def _check_hard(contact: Any, name: str, exact: str, may_be_soft: bool) -> None:
     """Check that a contact has no law that is for undeformed surfaces alone."""
-    if getattr(contact, "law", None) is not None:
+    law = getattr(contact, "law", None)
+    if law is not None and not (may_be_soft and isinstance(law, SoftContact)):
         raise InputError(
             f"{name}: law={contact.law!r} is for small strains on undeformed surfaces, but {exact} "
             "moves them. Leave out one of them"

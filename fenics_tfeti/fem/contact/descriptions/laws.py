@@ -19,7 +19,8 @@ class SoftContact:
     It is that of rough surfaces, or of a thin soft layer: of a layer of thickness h that is held
     sideways the stiffness is its modulus of uniaxial strain over h. Surfaces come apart freely.
     Solves take as many products as with hard contact, whatever the stiffness, unless it is much
-    less than that of a node.
+    less than that of a node. At finite strains the penetration and the area are those of the
+    deformed surfaces.
 
     Attributes
     ----------

@@ -19,6 +19,7 @@ from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     row_values,
 )
 from fenics_tfeti.fem.contact.conditions.friction import NodalFriction
+from fenics_tfeti.fem.contact.conditions.laws import NodalLaw
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
 from fenics_tfeti.fem.contact.descriptions.laws import RoughContact, SoftContact
@@ -183,6 +184,11 @@ def _is_hard(contact: Contact) -> TypeGuard[ContactPair]:
     return isinstance(contact, ContactPair) and not isinstance(contact.law, gives_way)
 
 
+def _adheres(law: NodalLaw | None) -> bool:
+    """Tell whether surfaces that pull may be closed; on this rank."""
+    return law is not None and bool(np.any(law.adhesion))
+
+
 def _contact_result(
     contact_set: ContactSet,
     found: FoundContact,
@@ -216,7 +222,7 @@ def _contact_result(
         nodal_normal_force=force,
         pressure=pressure,
         nominal_pressure=pressure * conditions.stretch,
-        active=solution.active[rows] if found.law is not None else force > 0.0,
+        active=solution.active[rows] if _adheres(found.law) else force > 0.0,
         area=conditions.area,
         coverage=conditions.coverage,
         friction=(
