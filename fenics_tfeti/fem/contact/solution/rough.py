@@ -118,10 +118,10 @@ class _Law:
     def next(self, tangent: _Tangent | None, solved: SolvedContacts) -> _Tangent | None:
         """Return the tangents after a solution, after hard contact at its forces."""
         if tangent is None:
-            tangent = self.at_forces(solved.contacts[self.number].nodal_normal_force)
-        else:
-            tangent = None
-        return tangent or self._tangent(self._approach(solved))
+            force = solved.contacts[self.number].nodal_normal_force
+            if (at_forces := self.at_forces(force)) is not None:
+                return at_forces
+        return self._tangent(self._approach(solved))
 
     def at_forces(self, force: Vector) -> _Tangent | None:
         """Return the tangents where the law has the pressures of forces (k,) [N]; None without."""
