@@ -37,7 +37,7 @@ LEAST_BYTES, MOST_BYTES = 0.8, 1.25
 
 @dataclass(frozen=True)
 class Machine:
-    """What a model assumes of a machine."""
+    """Speeds of a machine that a model assumes."""
 
     processor: float = 1.0  # times of its work over those measured
     message: float = 5e-6  # [s]

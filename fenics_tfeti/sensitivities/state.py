@@ -46,7 +46,7 @@ from fenics_tfeti.typing import Mask, Numbers, Vector
 
 @dataclass(frozen=True)
 class DifferentiatedState(ABC):
-    """What derivatives of all solved problems need."""
+    """The solved problem, as far as all derivatives need it."""
 
     torn: TornProblem
     forms: FormsAtSolution

@@ -99,7 +99,7 @@ class FoundContact:
 
     @property
     def along(self) -> NodalFriction | None:
-        """What acts along the surface: friction, and springs of bonds where these have not failed.
+        """Friction along the surface, and springs of bonds where these have not failed.
 
         Bonds that do not hold along the surface leave it to friction.
         """

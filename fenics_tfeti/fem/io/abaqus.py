@@ -46,7 +46,7 @@ _ENTITY = re.compile(r"(Line|Surface|Volume)\d+")
 
 @dataclass
 class _Deck:
-    """What the lines of a deck have said so far."""
+    """The data that the lines of a deck have given so far."""
 
     nodes: dict[int, list[float]] = field(default_factory=dict)
     elements: dict[int, tuple[str, list[int]]] = field(default_factory=dict)  # number: kind, nodes

@@ -113,9 +113,10 @@ def as_contacts(contacts: Any, exact: str = "", may_be_soft: bool = False) -> li
     listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
     laws = [type(getattr(contact, "law", None)) for contact in listed]
     if RoughContact in laws and Cohesive in laws:
+        rough = laws.index(RoughContact)
         raise InputError(
-            f"{contact_name(listed[laws.index(RoughContact)], laws.index(RoughContact))}: "
-            "RoughContact and Cohesive need solves of their own. Take SoftContact beside bonds"
+            f"{contact_name(listed[rough], rough)}: RoughContact and Cohesive need solves of their "
+            "own. Take SoftContact beside bonds"
         )
     for number, contact in enumerate(listed if exact else []):
         _check_hard(contact, contact_name(contact, number), exact, may_be_soft)

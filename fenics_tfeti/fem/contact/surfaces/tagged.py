@@ -444,11 +444,13 @@ def tagged_facets(
                     f"have dimension {dim}"
                 )
     labels = [label for *_, label in tagged]
-    facets = [owned_facets(domain, facet_tags, tag) for facet_tags, tag, _ in tagged]
     single = [(k, tag) for k, (_, tags, _) in enumerate(tagged) for tag in each_tag(tags)]
-    of_tags = np.array([owned_facets(domain, tagged[k][0], tag).size for k, tag in single])
-    comm.Allreduce(MPI.IN_PLACE, of_tags)
     surface = np.array([k for k, _ in single])
+    parts = [owned_facets(domain, tagged[k][0], tag) for k, tag in single]
+    of_surface = np.split(np.arange(len(parts)), np.flatnonzero(np.diff(surface)) + 1)
+    facets = [np.sort(np.concatenate([parts[m] for m in own])) for own in of_surface]
+    of_tags = np.array([part.size for part in parts])
+    comm.Allreduce(MPI.IN_PLACE, of_tags)
     number = np.bincount(surface, of_tags, len(tagged)).astype(int)
     is_missing = (of_tags == 0) if may_be_empty is None else (of_tags == 0) & ~may_be_empty[surface]
     for k, tag in (single[m] for m in np.flatnonzero(is_missing)[:1]):
