@@ -10,7 +10,7 @@ rows, of contact rows with friction, are terms of the same form (`friction`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class ConditionRows:
 
     entries: Entries  # on this rank
     # contact rows, tied rows, and tangential rows of the contact rows of this rank, with the data
-    # of the rows of B that they have
+    # of the rows of B that they have, and scales of their own
     given: RowTable
     share: Vector  # (conditions of this rank,): part of the row's force, with a sign
     sites: Numbers  # (contact rows of this rank with friction,): the sites that they have
@@ -147,6 +147,8 @@ def condition_rows(
     own_rows = RowTable(rows, kind, contacts.contact, scale, site, direction)
     entries, local, local_rhs = _distribute(own_rows, rhs, terms, directory, copies)
     given = RowTable(*(redundancy.of_rows(comm, x) for x in own_rows.columns))
+    # the free part of a condition may be a multiple of that of the row that it has
+    given = replace(given, scale=scale)
     # that of the first contact at a site has the lowest number
     sites, own_sites = (
         x[slip].reshape(-1, system.gdim - 1).min(axis=1) for x in (given.site, site)

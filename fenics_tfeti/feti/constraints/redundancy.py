@@ -216,6 +216,7 @@ class _Compared:
         same &= (self.sign > 0.0) & (rows.direction[i] == rows.direction[j])
         same &= ~rows.spring[i] & ~rows.spring[j]
         same &= np.abs(rows.rhs[i] - rows.rhs[j]) <= rows.tolerance[i] + rows.tolerance[j]
+        same &= np.abs(rows.scale[i] - rows.scale[j]) <= PARALLEL * rows.scale[i]
         # sites are one if all of their rows are
         sites, site = np.unique(rows.site, return_inverse=True)
         number = np.bincount(site.ravel()[active], minlength=sites.size)

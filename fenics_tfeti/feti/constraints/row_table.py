@@ -69,7 +69,7 @@ class GivenRows:
 
     own_rows: Numbers  # (g,): local positions; -1 for no row of B
     share: Vector  # (g,): part of the row's force, with a sign
-    scale: Vector  # (g,): t of the row of B; 1 for none
+    scale: Vector  # (g,): t with which they are the row of B; 1 for none
 
     def forces(self, multipliers: Vector) -> Vector:
         """Return the force of each row [N]; 0 if it is no row of B.

@@ -83,6 +83,21 @@ def test_equal_rows_are_one_and_share_its_force_by_area(areas, shares):
     np.testing.assert_allclose(force[:2] / force[:2].sum(), shares)
 
 
+@pytest.mark.parametrize("kind", ["contacts", "tied"])
+def test_forces_of_conditions_with_one_row_add_up_to_its_force(kind):
+    """A support takes a part of each condition; those that are left differ in length."""
+    rows = conditions((NODE, -1, X + Z, 0.0), (NODE, -1, X + 2 * Z, 0.0))
+    system = two_cubes(ContactRows.none(3), fixed(NODE, 0))
+    constraints, _ = build_constraints(dataclasses.replace(system, **{kind: rows}))
+    given = getattr(constraints, kind)
+    assert given.own_rows[0] == given.own_rows[1]
+    multipliers = np.zeros(constraints.size)
+    multipliers[given.own_rows[0]] = 1.0
+    of_row = (constraints.matrix.T @ multipliers).sum()
+    along_z = [1.0 / np.sqrt(2.0), 2.0 / np.sqrt(5.0)]
+    assert given.forces(multipliers) @ along_z == pytest.approx(of_row, rel=1e-12)
+
+
 @pytest.mark.parametrize(
     ("second", "is_one"), [((X, Y), True), ((Y, X), False)], ids=["same", "turned"]
 )
