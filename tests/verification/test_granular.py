@@ -19,6 +19,8 @@ SCENES = {
     "grains": (lambda comm, **o: grains(12, 0.1, 0.3, comm, **o), 150),
     "grains that slip": (lambda comm, **o: grains(12, 0.1, 0.2, comm, **o), 170),
     "more grains": (lambda comm, **o: grains(30, 0.05, 0.3, comm, **o), 130),
+    # steps that begin far from the forces
+    "coarse grains": (lambda comm, **o: grains(30, 0.1, 0.3, comm, **o), 90),
     "packing": (lambda comm, **o: packing(2, 3, 1e-3, 0.6, comm, **o), 80),
     "regular packing": (lambda comm, **o: packing(3, 2, 0.0, 0.3, comm, **o), 80),
 }

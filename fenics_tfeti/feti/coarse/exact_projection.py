@@ -7,7 +7,8 @@ For given forces b the minimiser of
 in the metric H of `GramMetric` is l = P(S^-2 (b + G'z - Cw)), P the projection on the bounds, with
 the rigid motions z and the displacements w = C'l that are the minimiser of a convex function whose
 gradient is (Gl - e, w - C'l). Newton's method takes a few solves with G D G' and starts from the
-last z and w. No such l exists where the bounds cannot hold the load.
+last z and w. Where the bounds cannot hold the load no such l exists: the function has no minimum,
+and the motions grow (Farkas' lemma).
 
 On rows without bounds H may be M^-1 of a preconditioner M: there l = b + MG'z.
 """
@@ -26,7 +27,7 @@ from scipy.sparse.linalg import splu
 from fenics_tfeti.feti.coarse.resistance import sum_sparse
 from fenics_tfeti.feti.coarse.space import CoarseSpace
 from fenics_tfeti.feti.constraints.rows import Constraints
-from fenics_tfeti.feti.tolerances import PARALLEL
+from fenics_tfeti.feti.tolerances import MANY, PARALLEL, rounding
 from fenics_tfeti.parallel import concatenate_buffers
 from fenics_tfeti.qp import ProductSet
 from fenics_tfeti.typing import Numbers, Vector
@@ -40,7 +41,9 @@ _LARGEST_BLOCK = 600
 _LEAST = 1e-4
 # limit on Newton steps; |Gl - e| relative to e and |C'l - w| relative to l that are rounding, and
 # those that may be if they do not decrease
-_STEPS, _EXACT, _ROUNDING = 100, 1e-12, 1e-8
+_STEPS, _EXACT, _ROUNDING = 1000, 1e-12, 1e-8
+# G'z relative to b and l that tells of a cost without a minimum; those of minimisers are below 1e2
+_UNBOUNDED = 1e6
 # slope that ends the line search, relative to the first one, and limit on its evaluations
 _SLOPE, _EVALUATIONS = 0.3, 40
 # added to the diagonal of Newton's matrix, relative to the diagonal without bounds
@@ -168,6 +171,8 @@ class ExactProjection:
             size = state.error
             if size <= _EXACT or (size <= _ROUNDING and size > 0.5 * last):
                 break
+            if state.pull > _UNBOUNDED:
+                break
             last = size
             step = self._newton_step(state)
             t, state = _least(evaluate, motion, step, state)
@@ -199,10 +204,14 @@ class ExactProjection:
             unbounded = forces / metric.scale
             l = feasible.project(unbounded.copy()) / metric.scale
             missing, left = self.e - space.restrict(l), metric.stretch(l) - motion[n:]
-            size = float(np.sqrt(constraints.layout.space.dots((l, l))[0])) or 1.0
-            error = np.abs(missing).max(initial=0.0) / largest
-            error = max(float(error), float(np.abs(left).max(initial=0.0)) / size)
-            return _State(l, unbounded, feasible, np.concatenate([missing, left]), error)
+            squares = constraints.layout.space.dots((l, l), (b, b), (pulled, pulled))
+            size, given, pull = (float(np.sqrt(square)) for square in squares)
+            # forces that are much larger than the load may cancel up to rounding
+            whole = largest + rounding(max(given, pull), MANY) / _ROUNDING
+            error = np.abs(missing).max(initial=0.0) / whole
+            error = max(float(error), float(np.abs(left).max(initial=0.0)) / (size or 1.0))
+            pull /= max(size, given) or 1.0
+            return _State(l, unbounded, feasible, np.concatenate([missing, left]), error, pull)
 
         return evaluate
 
@@ -233,6 +242,7 @@ class _State:
     feasible: ProductSet  # of S l
     residual: Vector  # (coarse + k,): e - Gl and C'l - w
     error: float  # its size, relative to e and l
+    pull: float  # size of G'z, relative to b and l
 
 
 def _least(
