@@ -4,7 +4,7 @@ from mpi4py import MPI
 
 import numpy as np
 import pytest
-from granular import grains, packing
+from granular import grains, grains_in_space, packing
 
 import ufl
 from dolfinx import fem
@@ -53,6 +53,19 @@ def test_certified_in_few_products_and_in_balance(name):
     total = np.sum(walls, axis=0)
     size = np.sum([np.linalg.norm(force) for force in walls])
     np.testing.assert_allclose(np.abs(total), [0.0, weight], atol=1e-5 * size)
+
+
+@pytest.mark.heavy
+def test_grains_in_space():
+    """Their active sets do not end: bounds that follow the forces go on."""
+    problem = grains_in_space((2, 1, 1), 0.3, 0.3)
+    problem.solve()
+    report = problem.report
+    assert report.certificate.worst <= 1e-6
+    walls = np.array([c.force for c in report.contacts if " on " not in c.name])
+    size = np.linalg.norm(walls, axis=1).sum()
+    weight = WEIGHT["grains"] * volume(problem)
+    np.testing.assert_allclose(np.abs(walls.sum(axis=0)), [0.0, 0.0, weight], atol=1e-5 * size)
 
 
 def test_displacement_is_that_of_the_fixed_point():

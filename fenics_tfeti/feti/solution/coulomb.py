@@ -40,6 +40,8 @@ _MAX_STEPS = 100
 _AMPLE = 2.0
 # the longest step of the fixed point; the shortest is its inverse
 _LONGEST = 10.0
+# ends of a solve after which no other method goes on
+_ENDS = SolveStatus.SOLVED, SolveStatus.INTERRUPTED, SolveStatus.OUT_OF_PRODUCTS
 
 
 def iterate_slip_bounds(
@@ -58,7 +60,7 @@ def iterate_slip_bounds(
     while True:
         step = fixed_point.step()
         end = fixed_point.judge(step) or fixed_point.update(step)
-        if end is not None:
+        if end is not None and not fixed_point.begin_to_follow(end[0]):
             return step.result(*end)
 
 
@@ -91,6 +93,7 @@ class _FixedPoint:
     residual: Vector | None = None  # (k,) change of the bounds that the last step asked for
     length: float = 1.0  # the part of it that was taken
     follows: bool = False  # whether the bounds follow the forces within a step
+    may_follow: bool = False  # whether they may where steps do not converge
 
     @staticmethod
     def start(
@@ -98,9 +101,12 @@ class _FixedPoint:
     ) -> _FixedPoint:
         """Return the first step, with bounds that can hold the load. Collective."""
         friction, comm = context.setup.constraints.friction, context.setup.constraints.layout.comm
-        follows = _follows(context)
+        loose, curved = _are_loose(context), friction.curved
+        follows = loose and not curved
         rtol = context.options.rtol if follows else max(context.options.rtol, _FIRST_RTOL)
-        fixed_point = _FixedPoint(context, balance, iterate, rtol, follows=follows)
+        fixed_point = _FixedPoint(
+            context, balance, iterate, rtol, follows=follows, may_follow=loose and curved
+        )
         if iterate is not None and fixed_point._hold(fixed_point._bounds(iterate.multipliers)):
             # a looser solution may be farther away than the start, that of a short time step
             fixed_point.rtol = context.options.rtol
@@ -149,6 +155,15 @@ class _FixedPoint:
         if len(self.changes) == _MAX_STEPS:
             return SolveStatus.OUT_OF_STEPS, f"limit of {_MAX_STEPS} steps of Coulomb's law"
         return None
+
+    def begin_to_follow(self, ended: SolveStatus) -> bool:
+        """Let the bounds follow the forces after steps that have failed, if they may."""
+        if not self.may_follow or ended in _ENDS:
+            return False
+        self.follows, self.may_follow = True, False
+        self.iterate, self.rtol = None, self.context.options.rtol
+        self.changes.clear()
+        return True
 
     def update(self, step: _Step) -> tuple[SolveStatus, str] | None:
         """Take bounds on the way to those of a step; return the end where none hold the load.
@@ -237,13 +252,14 @@ class _FixedPoint:
         return float(constraints.layout.comm.allreduce(float(x[owned] @ y[owned])))
 
 
-def _follows(context: SolveContext) -> bool:
+def _are_loose(context: SolveContext) -> bool:
     """Tell whether several loose bodies hold each other: active sets are often mechanisms then.
 
-    That is so where bounds are intervals: projections on discs in the metric of rows that nearly
-    depend on each other take too many steps. Steps along the gradient are too short for springs.
+    Where bounds are intervals they follow the forces from the start. Projections on discs, in the
+    metric of rows that nearly depend on each other, take many steps: there the active set goes
+    first. Steps along the gradient are too short for springs.
     """
-    if context.setup.constraints.friction.curved or context.data.springs is not None:
+    if context.data.springs is not None:
         return False
     coarse_space = context.setup.projector.coarse_space
     free = coarse_space.resistance_of_supports().free
