@@ -119,7 +119,7 @@ def unaccepted_step(solved: SolvedContacts, u: Vector, before: Vector | None) ->
     """
     contacts = solved.contact_set.contacts
     rubs = any(found.friction is not None for found in contacts)
-    breaks = bool(solved.contact_set.bonded)
+    breaks = any(found.law is not None and found.law.damage is not None for found in contacts)
     if before is None or not (rubs or breaks):
         return []
     comm = solved.contact_set.boundary.nodes.comm

@@ -30,6 +30,7 @@ from fenics_tfeti.fem.contact.descriptions.laws import (
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.solution.adhesion import solve_adhesive
 from fenics_tfeti.fem.contact.solution.bonded import BondedContacts
 from fenics_tfeti.fem.contact.solution.damage import damaged
 from fenics_tfeti.fem.contact.solution.geometry_pass import GeometryPass, geometry_pass
@@ -454,10 +455,14 @@ class ContactProblem(SteppedProblem[ContactReport]):
         """Check that derivatives know the laws of interfaces."""
         for number, contact in enumerate(self.contacts):
             law = getattr(contact, "law", None)
-            if not isinstance(law, SoftContact | RoughContact | Adhesive | ElasticBond | None):
+            ends = isinstance(law, Adhesive) and law.energy is not None
+            if ends or not isinstance(
+                law, SoftContact | RoughContact | Adhesive | ElasticBond | None
+            ):
+                what = type(law).__name__ + (" with an energy" if ends else "")
                 raise InputError(
-                    f"{contact_name(contact, number)}: derivatives know no law "
-                    f"{type(law).__name__}. Leave it out, or difference solves"
+                    f"{contact_name(contact, number)}: derivatives know no law {what}. Leave it "
+                    "out, or difference solves"
                 )
 
     def _check_hard_or_soft(self, what: str) -> None:
@@ -517,6 +522,8 @@ class ContactProblem(SteppedProblem[ContactReport]):
             bonded = BondedContacts.of(contact_set, self._accepted.damage)
             if bonded is not None:
                 return self._solve_bonded(bonded, solved, monitor)
+            if contact_set.adhesive:
+                return self._solve_adhesive(contact_set, solved, monitor)
             if contact_set.rough:
                 return self._solve_rough(contact_set, solved, monitor)
             self._solve_linearised(contact_set, solved, monitor)
@@ -542,6 +549,29 @@ class ContactProblem(SteppedProblem[ContactReport]):
         with self._as_before_errors():
             solve_rough(contact_set, contact_set.at_conditions(self._accepted.force), solve)
         self._report = replace(self.report, rough_products=tuple(products))
+        return self.u
+
+    def _solve_adhesive(
+        self,
+        contact_set: ContactSet,
+        coarse: list[SolvedContact] | None,
+        monitor: MonitorFunction | None,
+    ) -> Function:
+        """Solve with adhesion that ends; an error leaves all as it was."""
+        products = list[int]()
+
+        def solve(adhesive: ContactSet) -> SolvedContacts:
+            start = None if products else coarse
+            self._solve_linearised(adhesive, start, monitor)
+            products.append(self.report.products["total"])
+            assert self._solved is not None
+            return self._solved
+
+        before = None if self._accepted.number == 0 else self._accepted.damage
+        with self._as_before_errors():
+            dissipated, failed = solve_adhesive(contact_set, before, solve)
+        entry = DamageEntry(dissipated, failed, [], 0, len(products), sum(products))
+        self._report = replace(self.report, damage=entry)
         return self.u
 
     def _solve_bonded(

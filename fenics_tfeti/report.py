@@ -45,18 +45,19 @@ class DamageStep:
 
 @dataclass(frozen=True)
 class DamageEntry:
-    """How the damage of bonds has grown in a solve.
+    """How the damage of bonds has grown in a solve, or where adhesion has ended.
 
     Attributes
     ----------
     dissipated : dict of str to float
         Energy that the bonds of each contact have taken since the last load step, by increments
         (t g' - t' g) / 2 of tractions and jumps along `path`: the work of the loads less what is
-        stored [J].
+        stored [J]. Adhesion takes its energy where it ends; work beyond this moves the surfaces.
     failed : dict of str to int
         How many bonds of each contact have failed, at nodes.
     path : list of DamageStep
-        The equilibria on the way to the loads where damage has grown, the last one at them.
+        The equilibria on the way to the loads where damage has grown, the last one at them. Of
+        adhesion there are none.
     steps_back : int
         How many of these have smaller loads than the one before: the crack runs by itself.
     passes, products : int
@@ -106,7 +107,8 @@ class ContactReport(Report):
     mesh_error : MeshErrorEntry or None
         The error of the mesh, once `ContactProblem.mesh_error` was called.
     damage : DamageEntry or None
-        How the damage of bonds has grown in the solve; None of problems without such bonds.
+        How the damage of bonds has grown in the solve; None of problems without bonds or adhesion
+        that can fail.
     rough_products : tuple of int
         The products of each solve with the laws of rough contacts; other figures of the report are
         those of the last one. Empty of problems without such contacts.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 import ufl
 from dolfinx import fem
 
-from fenics_tfeti import Cohesive, ContactPair, ContactProblem, DamageEntry
+from fenics_tfeti import Adhesive, Cohesive, ContactPair, ContactProblem, DamageEntry
 from fenics_tfeti.io import Box, boxes, displacement_space, tag_facets
 
 Array = NDArray[np.float64]
@@ -89,7 +89,7 @@ class Beam:
         cell: float,
         cells: int,
         options: dict[str, object],
-        law: Cohesive,
+        law: Cohesive | Adhesive,
         tips: Sequence[float] = (-0.5, 0.5),
         begin: float | None = None,
     ) -> None:
@@ -140,7 +140,7 @@ class Beam:
             cell_tags=beams.cell_tags,
             options={"units": "mm-N-MPa", **options},
         )
-        self.width = case.b
+        self.case, self.width = case, case.b
 
     def open_by(self, opening: float) -> float:
         """Solve with an opening at the end of the crack; return the load."""
@@ -148,6 +148,19 @@ class Beam:
             moved.x.array[:] = part * opening
         self.problem.solve()
         return abs(self.problem.report.reactions[1].force[1]) * self.width
+
+    def released(self) -> float:
+        """Return the energy that the growth of the crack releases, by the ends' rotation [N/mm]."""
+        u, h = self.problem.u, self.case.h
+        x, values = u.function_space.tabulate_dof_coordinates(), u.x.array.reshape(-1, 2)
+        load = abs(self.problem.report.reactions[1].force[1])
+        rotation = 0.0
+        # the surfaces of both arms have nodes at the same places, which go apart
+        for middle, sign in ((0.5 * h, -1.0), (1.5 * h, 1.0)):
+            at_end = np.isclose(x[:, 0], 0.0) & (np.abs(x[:, 1] - middle) < 0.51 * h)
+            at_end &= sign * values[:, 1] > 0.0
+            rotation += abs(np.polyfit(x[at_end, 1], values[at_end, 0], 1)[0])
+        return load * rotation
 
     def open_in_steps(self, openings: Array) -> tuple[Array, list[DamageEntry]]:
         """Return openings and loads of all equilibria in load steps, and their reports."""

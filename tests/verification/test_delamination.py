@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from delaminating import CASES, Beam
 
-from fenics_tfeti import Cohesive
+from fenics_tfeti import Adhesive, Cohesive
 
 pytestmark = pytest.mark.once
 
@@ -68,3 +68,21 @@ def test_mixed_modes(tips, modes, cell, bound):
     assert bond.opening.min() > -1e-12
     assert (bond.nodal_normal_force[crack] > 0.0).any() == (tips[1] < 0.0)
     assert bond.damage[~crack].max() == 1.0
+
+
+def test_adhesion_of_limited_energy():
+    """The crack grows where as much is released as adhesion takes, but for single nodes.
+
+    Rice's integral of arms whose ends are loaded is the load times their rotation.
+    """
+    case = replace(CASES["C"], strength=15.0)
+    options = {"rtol": 1e-5, "preconditioner": "dirichlet", "subdomain_size": 1000}
+    beam = Beam(case, 0.25, 6, options, Adhesive(case.strength, case.energy))
+    beam.open_in_steps(np.array([3.0, 5.0, 6.0]))
+    for opening in np.arange(6.5, 8.0, 0.1):
+        beam.open_by(opening)
+        bond, damage = beam.problem.results["bond"], beam.problem.report.damage
+        assert damage.passes <= 3
+        zone = np.count_nonzero((bond.damage == 0.0) & (bond.opening > 1e-9))
+        assert 1.0 < beam.released() / case.energy < 1.0 + 1.1 / zone
+        beam.problem.advance()

@@ -167,6 +167,15 @@ class ContactSet:
         ]
 
     @property
+    def adhesive(self) -> list[tuple[int, FoundContact, NodalLaw]]:
+        """The numbers among `contacts` of those whose adhesion can end, and this law."""
+        return [
+            (number, found, found.law)
+            for number, found in enumerate(self.contacts)
+            if found.law is not None and found.law.reach is not None
+        ]
+
+    @property
     def rough(self) -> list[tuple[int, FoundContact, RoughContact]]:
         """The numbers among `contacts` of those with a law of the approach, and this law."""
         laws = [getattr(found.contact, "law", None) for found in self.contacts]
@@ -197,6 +206,13 @@ class ContactSet:
             for found, own in zip(self.contacts, self.positions, strict=True)
         )
         return SlaveValues.of([found.history for found in self.contacts], parts)
+
+    def sums(self, parts: Sequence[tuple[FoundContact, Vector]]) -> dict[str, float]:
+        """Return the sums of values (k,) at contacts by their names. Collective."""
+        sums = dict.fromkeys([found.conditions.name for found, _ in parts], 0.0)
+        for found, values in parts:
+            sums[found.conditions.name] += float(values.sum())
+        return {name: self.boundary.nodes.comm.allreduce(own) for name, own in sums.items()}
 
     @property
     def entries(self) -> list[FoundContact | FoundTie]:

@@ -24,7 +24,8 @@ class NodalLaw:
     adhesion: Vector  # (k,) [N]
     touching: Vector | None = None  # gaps (k,) from which on rows press, by default 0 [m]
     bonds: Bonds | None = None  # those that can break
-    damage: Vector | None = None  # (k,) of these
+    reach: Vector | None = None  # openings (k,) at which adhesion ends [m]
+    damage: Vector | None = None  # (k,) of bonds that can break, 1 where adhesion has ended
 
     @staticmethod
     def soft(stiffness: Vector, touching: Vector | None = None) -> NodalLaw:
@@ -48,6 +49,17 @@ class NodalLaw:
         )
         return replace(self, compliance=compliance, damage=damage)
 
+    def is_beyond(self, opening: Vector) -> Mask:
+        """Tell where openings (k,) are larger than adhesion reaches."""
+        assert self.reach is not None
+        return np.asarray(opening > self.reach)
+
+    def ended(self, where: Mask) -> NodalLaw:
+        """Return the law without adhesion at some of the nodes (k,)."""
+        return replace(
+            self, adhesion=np.where(where, 0.0, self.adhesion), damage=where.astype(np.float64)
+        )
+
     @property
     def stiffness_along(self) -> Vector:
         """The stiffness (k,) of bonds along the surface [N/m]."""
@@ -68,12 +80,12 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
     if isinstance(law, RoughContact):
         # hard until its tangents are known
         return None
+    if isinstance(law, Adhesive):
+        return _adhesion(law, conditions)
     area, comm = conditions.area, conditions.surface.comm
     ((label, value),) = vars(law).items()
     values = nodal_values(value, label, conditions)
     compliance = np.tile([0.0, np.inf], (area.size, 1))
-    if isinstance(law, Adhesive):
-        return NodalLaw(compliance, np.where(np.isfinite(conditions.gap), values * area, 0.0))
     if isinstance(law, ElasticBond):
         bonded = (values > 0.0) & np.isfinite(conditions.gap)
         compliance[bonded, 1] = 1.0 / (values * area)[bonded]
@@ -84,6 +96,20 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
             f"nodes, the first at {bad.place}. Take such nodes out of the surface"
         )
     return NodalLaw.soft(values * area)
+
+
+def _adhesion(law: Adhesive, conditions: ContactConditions) -> NodalLaw:
+    """Evaluate adhesion at conditions. Collective."""
+    area = conditions.area
+    traction = nodal_values(law.traction, "traction", conditions)
+    traction = np.where(np.isfinite(conditions.gap), traction, 0.0)
+    adhesion = NodalLaw(np.tile([0.0, np.inf], (area.size, 1)), traction * area)
+    if law.energy is None:
+        return adhesion
+    energy, adheres = nodal_values(law.energy, "energy", conditions), traction > 0.0
+    _check(conditions, adheres & ~(energy > 0.0), "has no energy", "Give it one", "traction")
+    reach = np.divide(energy, traction, out=np.full_like(energy, np.inf), where=adheres)
+    return replace(adhesion, reach=reach).ended(~adheres)
 
 
 def _bonds(law: Cohesive, conditions: ContactConditions) -> Bonds:
@@ -128,10 +154,12 @@ def _bonds(law: Cohesive, conditions: ContactConditions) -> Bonds:
     return Bonds(conditions.area, stiffness, *data, exponent)
 
 
-def _check(conditions: ContactConditions, wrong: Mask, what: str, remedy: str) -> None:
-    """Check data of bonds at nodes of a strength. Collective."""
+def _check(
+    conditions: ContactConditions, wrong: Mask, what: str, remedy: str, zero: str = "strength"
+) -> None:
+    """Check data of bonds at nodes of a strength, or of adhesion. Collective."""
     if bad := first_wrong(conditions.surface.comm, wrong, conditions.coordinates):
         raise InputError(
             f"{conditions.name}: the bond {what} at {bad.number} nodes, the first at {bad.place}. "
-            f"{remedy}, or set the strength to zero there: nothing is bonded then"
+            f"{remedy}, or set the {zero} to zero there: nothing is bonded then"
         )

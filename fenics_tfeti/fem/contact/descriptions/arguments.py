@@ -5,7 +5,7 @@ They are the same on all ranks, and so are the errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
-from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact, SoftContact
+from fenics_tfeti.fem.contact.descriptions.laws import SoftContact, needs_passes
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
@@ -111,13 +111,7 @@ def as_contacts(contacts: Any, exact: str = "", may_be_soft: bool = False) -> li
         )
     names = ("contacts", kinds, "contact")
     listed = _listed(contacts, lambda thing: isinstance(thing, Contact | Tie), names, kinds)
-    laws = [type(getattr(contact, "law", None)) for contact in listed]
-    if RoughContact in laws and Cohesive in laws:
-        rough = laws.index(RoughContact)
-        raise InputError(
-            f"{contact_name(listed[rough], rough)}: RoughContact and Cohesive need solves of their "
-            "own. Take SoftContact beside bonds"
-        )
+    _check_kinds_of_passes(listed)
     for number, contact in enumerate(listed if exact else []):
         _check_hard(contact, contact_name(contact, number), exact, may_be_soft)
         if isinstance(contact, ContactPair) and contact.initial_gap != "geometric":
@@ -127,6 +121,23 @@ def as_contacts(contacts: Any, exact: str = "", may_be_soft: bool = False) -> li
                 "Leave out one of them"
             )
     return listed
+
+
+def _check_kinds_of_passes(listed: Sequence[Contact | Tie]) -> None:
+    """Check that laws that need several solves are of one kind."""
+    first = ""
+    for number, contact in enumerate(listed):
+        law = getattr(contact, "law", None)
+        if not needs_passes(law):
+            continue
+        kind = type(law).__name__
+        if first and kind != first:
+            raise InputError(
+                f"{contact_name(contact, number)}: {first} and {kind} need solves of their own: "
+                "not both in one problem. Take SoftContact in place of RoughContact, Adhesive "
+                "without an energy, or the same kind of bond for both"
+            )
+        first = kind
 
 
 def _check_hard(contact: Any, name: str, exact: str, may_be_soft: bool) -> None:

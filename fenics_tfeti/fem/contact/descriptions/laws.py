@@ -79,9 +79,11 @@ class RoughContact:
 class Adhesive:
     """Contact that pulls: closed surfaces come apart where they would pull by more.
 
-    The traction is the same on surfaces that have come apart, however far: the energy that it takes
-    is the traction times the opening. Coulomb's bound of friction counts the pressure together with
-    the traction (Derjaguin).
+    The traction is the same on surfaces that have come apart: the energy that it takes is the
+    traction times the opening. By default it pulls however far they are. With an energy it ends at
+    the opening energy / traction (Dugdale, Maugis), and contact is left: as the damage of
+    `Cohesive`, this is that of load steps, which `ContactProblem.advance` accepts, and never heals.
+    Coulomb's bound of friction counts the pressure together with the traction (Derjaguin).
 
     Attributes
     ----------
@@ -89,17 +91,23 @@ class Adhesive:
         Largest traction across the surfaces [Pa]: a number, a function of the undeformed nodes x
         (3, n) [m] of the slave that returns (n,), or values at the nodes: a scalar Function of
         degree 1 on the mesh.
+    energy : float, callable or dolfinx.fem.Function, optional
+        Energy that it takes to separate an area [J/m^2]; by default it has no limit. Surfaces that
+        are farther apart than energy / traction in the first load step do not adhere.
 
     Examples
     --------
     >>> Adhesive(traction=1e5)
-    Adhesive(traction=100000.0)
+    Adhesive(traction=100000.0, energy=None)
     """
 
     traction: NodalValue
+    energy: NodalValue | None = None
 
     def __post_init__(self) -> None:
         check_nodal_value(self.traction, "Adhesive: the traction")
+        if self.energy is not None:
+            check_nodal_value(self.energy, "Adhesive: the energy", positive=True)
 
 
 @dataclass(frozen=True)
@@ -203,3 +211,9 @@ def check_law(law: Any, label: str) -> None:
             "ElasticBond(stiffness), Cohesive(strength, energy) or None"
         )
         raise wrong_type(f"{label}: law", law, expected)
+
+
+def needs_passes(law: Any) -> bool:
+    """Tell whether a law takes several solves: with tangents of it, or with another damage."""
+    ends = isinstance(law, Adhesive) and law.energy is not None
+    return ends or isinstance(law, RoughContact | Cohesive)

@@ -86,7 +86,8 @@ def _one_sided_data(contact: ContactPair) -> str:
     varying = [
         law
         for law in laws
-        if not (isinstance(law, RoughContact) or all(map(np.isscalar, vars(law).values())))
+        if not isinstance(law, RoughContact)
+        if not all(value is None or np.isscalar(value) for value in vars(law).values())
     ]
     one_sided = {
         "normal": contact.normal is not None,

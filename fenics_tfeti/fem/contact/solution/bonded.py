@@ -68,11 +68,8 @@ class BondedContacts:
 
     def by_contact(self, values: Vector) -> dict[str, float]:
         """Return the sums of values (k,) by the names of contacts. Collective."""
-        bonded, comm = self.contact_set.bonded, self.contact_set.boundary.nodes.comm
-        sums = dict.fromkeys([found.conditions.name for found, *_ in bonded], 0.0)
-        for (found, *_), part in zip(bonded, self._split(values), strict=True):
-            sums[found.conditions.name] += float(part.sum())
-        return {name: comm.allreduce(own) for name, own in sums.items()}
+        contacts = [found for found, *_ in self.contact_set.bonded]
+        return self.contact_set.sums(list(zip(contacts, self._split(values), strict=True)))
 
     def _split(self, values: Array) -> Sequence[Array]:
         """Return the values of each contact on this rank."""

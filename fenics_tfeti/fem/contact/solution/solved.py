@@ -155,10 +155,11 @@ class SolvedContacts:
         return SlaveValues.of([found.history for found in self.contact_set.contacts], parts)
 
     def damage(self) -> SlaveValues:
-        """Return the damage (k,) of bonds that can break."""
-        bonded = self.contact_set.bonded
-        parts = ((self.contact_set.dofs(f.conditions.slave), damage) for f, _, damage in bonded)
-        return SlaveValues.of([f.history for f, *_ in bonded], parts)
+        """Return the damage (k,) of bonds that can break, and where adhesion has ended."""
+        found = [(f, f.law.damage) for f in self.contact_set.contacts if f.law is not None]
+        known = [(f, damage) for f, damage in found if damage is not None]
+        parts = ((self.contact_set.dofs(f.conditions.slave), damage) for f, damage in known)
+        return SlaveValues.of([f.history for f, _ in known], parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
