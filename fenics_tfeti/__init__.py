@@ -30,7 +30,8 @@ _LAZY = {
     for module, names in {
         "fem.contact.descriptions.contacts": "ContactPair Deformed RigidObstacle SelfContact",
         "fem.contact.descriptions.friction": "Coulomb Tresca",
-        "fem.contact.descriptions.laws": "Adhesive Cohesive ElasticBond RoughContact SoftContact",
+        "fem.contact.descriptions.laws": "Adhesive Cohesive ElasticBond ElasticLayer "
+        "RoughContact SoftContact",
         "fem.contact.descriptions.partners": "Along Mapped Mortar Nearest Points",
         "fem.contact.descriptions.rigid_body": "RigidBody",
         "fem.contact.descriptions.shapes": "Cylinder FacetedObstacle Plane Sphere",

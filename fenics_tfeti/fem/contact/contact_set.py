@@ -34,7 +34,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
 from fenics_tfeti.fem.contact.conditions.laws import NodalLaw, nodal_law
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, RoughContact
+from fenics_tfeti.fem.contact.descriptions.laws import BondLaw, RoughContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
@@ -99,13 +99,14 @@ class FoundContact:
 
     @property
     def along(self) -> NodalFriction | None:
-        """Friction along the surface, and springs of bonds where these have not failed.
+        """Friction along the surface, and springs of bonds and layers where these hold.
 
         Bonds that do not hold along the surface leave it to friction.
         """
-        if self.friction is None or self.law is None or self.law.bonds is None:
+        stiffness = None if self.law is None else self.law.stiffness_along
+        if self.friction is None or stiffness is None:
             return self.friction
-        return self.friction.bonded(self.law.stiffness_along)
+        return self.friction.bonded(stiffness)
 
     @property
     def body(self) -> RigidBody | None:
@@ -310,7 +311,7 @@ class ContactSet:
         contacts = []
         for found in self.contacts:
             bond = getattr(found.contact, "law", None)
-            holds = isinstance(bond, Cohesive) and bond.holds_along
+            holds = isinstance(bond, BondLaw) and bond.holds_along
             friction = nodal_friction(found.contact, found.conditions, fixed, boundary, holds)
             law = nodal_law(found.contact, found.conditions)
             contacts.append(replace(found, friction=friction, law=law))

@@ -11,7 +11,13 @@ from fenics_tfeti.fem.contact.conditions.bonds import DEFAULT_STIFFNESS, Bonds
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
 from fenics_tfeti.fem.contact.conditions.friction import nodal_values
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import Adhesive, Cohesive, ElasticBond, RoughContact
+from fenics_tfeti.fem.contact.descriptions.laws import (
+    Adhesive,
+    Cohesive,
+    ElasticBond,
+    ElasticLayer,
+    RoughContact,
+)
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.typing import Mask, Vector
 
@@ -25,6 +31,7 @@ class NodalLaw:
     touching: Vector | None = None  # gaps (k,) from which on rows press, by default 0 [m]
     bonds: Bonds | None = None  # those that can break
     reach: Vector | None = None  # openings (k,) at which adhesion ends [m]
+    along: Vector | None = None  # stiffness (k,) of a layer along the surface [N/m]
     damage: Vector | None = None  # (k,) of bonds that can break, 1 where adhesion has ended
 
     @staticmethod
@@ -61,9 +68,10 @@ class NodalLaw:
         )
 
     @property
-    def stiffness_along(self) -> Vector:
-        """The stiffness (k,) of bonds along the surface [N/m]."""
-        assert self.bonds is not None and self.damage is not None
+    def stiffness_along(self) -> Vector | None:
+        """The stiffness (k,) of bonds or a layer along the surface [N/m]; None without these."""
+        if self.bonds is None or self.damage is None:
+            return self.along
         return self.bonds.stiffness_along(self.damage)
 
 
@@ -82,7 +90,9 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
         return None
     if isinstance(law, Adhesive):
         return _adhesion(law, conditions)
-    area, comm = conditions.area, conditions.surface.comm
+    if isinstance(law, ElasticLayer):
+        return _layer(law, conditions)
+    area = conditions.area
     ((label, value),) = vars(law).items()
     values = nodal_values(value, label, conditions)
     compliance = np.tile([0.0, np.inf], (area.size, 1))
@@ -90,12 +100,31 @@ def nodal_law(contact: Contact, conditions: ContactConditions) -> NodalLaw | Non
         bonded = (values > 0.0) & np.isfinite(conditions.gap)
         compliance[bonded, 1] = 1.0 / (values * area)[bonded]
         return NodalLaw(compliance, np.zeros_like(area))
-    if bad := first_wrong(comm, ~(values > 0.0), conditions.coordinates):
+    _check_positive(conditions, values, "soft contact")
+    return NodalLaw.soft(values * area)
+
+
+def _layer(law: ElasticLayer, conditions: ContactConditions) -> NodalLaw:
+    """Evaluate the springs of a layer at conditions. Collective."""
+    area = conditions.area
+    stiffness = nodal_values(law.stiffness, "stiffness", conditions)
+    _check_positive(conditions, stiffness, "an elastic layer")
+    along = stiffness
+    if law.shear_stiffness is not None:
+        along = nodal_values(law.shear_stiffness, "shear_stiffness", conditions)
+    is_there = np.isfinite(conditions.gap)
+    across = 1.0 / (stiffness * area)
+    compliance = np.column_stack([across, np.where(is_there, across, np.inf)])
+    return NodalLaw(compliance, np.zeros_like(area), along=np.where(is_there, along * area, 0.0))
+
+
+def _check_positive(conditions: ContactConditions, stiffness: Vector, what: str) -> None:
+    """Check stiffnesses (k,) of springs that are pressed. Collective."""
+    if bad := first_wrong(conditions.surface.comm, ~(stiffness > 0.0), conditions.coordinates):
         raise InputError(
-            f"{conditions.name}: the stiffness of soft contact is not positive at {bad.number} "
+            f"{conditions.name}: the stiffness of {what} is not positive at {bad.number} "
             f"nodes, the first at {bad.place}. Take such nodes out of the surface"
         )
-    return NodalLaw.soft(values * area)
 
 
 def _adhesion(law: Adhesive, conditions: ContactConditions) -> NodalLaw:

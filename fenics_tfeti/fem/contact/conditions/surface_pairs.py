@@ -30,6 +30,7 @@ from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair, Patch
 from fenics_tfeti.fem.contact.descriptions.partners import Nearest, NodePartners
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
+from fenics_tfeti.fem.contact.descriptions.ties import BondedPair
 from fenics_tfeti.fem.contact.surfaces.nearby import gather_nearby
 from fenics_tfeti.fem.contact.surfaces.normals import axes_of_cylinders
 from fenics_tfeti.fem.contact.surfaces.oriented import oriented_facets
@@ -320,6 +321,9 @@ def _conditions_of_parts(
     contact, places = slave.contact[rows], slave.coordinates[rows]
     gap = slave.without_rounding(np.sum(found.gap * found.normal, axis=1), contact)
     accuracy = found.accuracy()
+    bonded = np.array([isinstance(pair, BondedPair) for pair in pairs.contacts])[contact]
+    if any(isinstance(pair, BondedPair) for pair in pairs.contacts):
+        slave.check_joined(np.where(bonded, np.linalg.norm(found.gap, axis=1), 0.0), rows)
     gap = initial_gaps(comm, pairs.contacts, contact, gap, accuracy.chord, places, names)
     deviation = accuracy.deviation
     summaries = matching_summaries(

@@ -189,15 +189,8 @@ def _tied_surfaces(
     fullest = conditions[int(np.argmax(sizes))]
     check_covered([slave], [int(fullest.covered.sum())], [fullest.area.size])
     rows = slave.rows_of(fullest.terms.slave)
-    # the rotation of facets says nothing about surfaces that are farther apart than these are large
     distance = np.linalg.norm(fullest.gap, axis=1)
-    largest = concatenate_ranks(comm, distance).max(initial=0.0)
-    if bad := slave.first_wrong(distance > 0.5 * slave.size[rows], rows):
-        raise InputError(
-            f"{name}: the surfaces are apart, or overlap, by more than half a facet at "
-            f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
-            "surfaces that lie on each other"
-        )
+    slave.check_joined(distance, rows)
     gap, accuracy = np.sum(fullest.gap * slave.normal[rows], axis=1), fullest.accuracy()
     (summary,) = matching_summaries(
         comm,

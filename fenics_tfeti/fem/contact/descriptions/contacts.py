@@ -52,7 +52,7 @@ class ContactPair(SurfacePair):
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
-    law : SoftContact, RoughContact, Adhesive, ElasticBond or Cohesive, optional
+    law : SoftContact, RoughContact, Adhesive, ElasticBond, ElasticLayer or Cohesive, optional
         What the surfaces exert across their gap; by default hard contact, that only presses. With
         small strains on undeformed surfaces only.
     initial_gap : "geometric", "touching", float or callable
@@ -100,7 +100,7 @@ class ContactPair(SurfacePair):
         super().__post_init__()
         label = checked_label(self)
         check_friction(self.friction, label)
-        check_law(self.law, label)
+        check_law(self.law, label, self.friction)
         gap = self.initial_gap
         is_word = isinstance(gap, str) and gap in ("geometric", "touching")
         check_value(
@@ -140,7 +140,7 @@ class RigidObstacle:
         For messages and the report.
     friction : Tresca or Coulomb, optional
         The law of friction; by default there is none.
-    law : SoftContact, RoughContact, Adhesive, ElasticBond or Cohesive, optional
+    law : SoftContact, RoughContact, Adhesive, ElasticBond, ElasticLayer or Cohesive, optional
         As that of a `ContactPair`.
     displacement : (gdim,) array-like or callable, optional
         How far what is at each point of the obstacle has moved since the undeformed state [m], for
@@ -188,7 +188,7 @@ class RigidObstacle:
                 "a function of x that returns (gap, normal) or the gap, such as Plane,",
             )
         check_friction(self.friction, label)
-        check_law(self.law, label)
+        check_law(self.law, label, self.friction)
         if self.displacement is not None and self.friction is None:
             raise InputError(
                 f"{label}: the obstacle's displacement has no effect without friction: leave it "

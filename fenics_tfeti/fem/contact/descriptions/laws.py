@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-from fenics_tfeti.errors import check_value, wrong_type
+from fenics_tfeti.errors import InputError, check_value, wrong_type
 from fenics_tfeti.fem.contact.descriptions.friction import NodalValue, check_nodal_value
 from fenics_tfeti.fem.user_data import check_positive, is_number
 from fenics_tfeti.typing import Vector
@@ -138,6 +138,45 @@ class ElasticBond:
 
 
 @dataclass(frozen=True)
+class ElasticLayer:
+    """A thin elastic layer that joins surfaces: tractions in proportion to the jump.
+
+    It carries pressure, tension and shear: across the surfaces the stiffness times the opening,
+    which is negative where the layer is pressed, along them the shear stiffness times the slip. Of
+    a layer of thickness h that is held sideways by the bodies they are its modulus of uniaxial
+    strain over h, and its shear modulus over h.
+
+    Attributes
+    ----------
+    stiffness : float, callable or dolfinx.fem.Function
+        Traction over opening [Pa/m]: a positive number, a function of the undeformed nodes x (3, n)
+        [m] of the slave that returns (n,), or values at the nodes: a scalar Function of degree 1 on
+        the mesh.
+    shear_stiffness : float, callable or dolfinx.fem.Function, optional
+        Traction over slip [Pa/m], at least 0; by default the stiffness. Where it is zero the
+        surfaces are free to slide.
+
+    Examples
+    --------
+    >>> ElasticLayer(stiffness=2e12, shear_stiffness=1e12).shear_stiffness
+    1000000000000.0
+    """
+
+    stiffness: NodalValue
+    shear_stiffness: NodalValue | None = None
+
+    def __post_init__(self) -> None:
+        check_nodal_value(self.stiffness, "ElasticLayer: the stiffness", positive=True)
+        if self.shear_stiffness is not None:
+            check_nodal_value(self.shear_stiffness, "ElasticLayer: the shear_stiffness")
+
+    @property
+    def holds_along(self) -> bool:
+        """Whether there may be a shear stiffness."""
+        return not (is_number(self.shear_stiffness) and self.shear_stiffness == 0.0)
+
+
+@dataclass(frozen=True)
 class Cohesive:
     """A bond that breaks: the traction rises with the jump, then falls, and contact is left.
 
@@ -200,16 +239,30 @@ class Cohesive:
         return not (is_number(self.shear_strength) and self.shear_strength == 0.0)
 
 
-InterfaceLaw: TypeAlias = SoftContact | RoughContact | Adhesive | ElasticBond | Cohesive
+# laws of surfaces that are one at first
+BondLaw: TypeAlias = ElasticLayer | Cohesive
+InterfaceLaw: TypeAlias = SoftContact | RoughContact | Adhesive | ElasticBond | BondLaw
 
 
-def check_law(law: Any, label: str) -> None:
-    """Check that there is a law of the interface, or none."""
+def check_law(law: Any, label: str, friction: Any = None) -> None:
+    """Check that there is a law of the interface that agrees with the friction, or none."""
     if law is not None and not isinstance(law, InterfaceLaw):
         expected = (
             "SoftContact(stiffness), RoughContact(pressure, stiffness), Adhesive(traction), "
-            "ElasticBond(stiffness), Cohesive(strength, energy) or None"
+            "ElasticBond(stiffness), ElasticLayer(stiffness), Cohesive(strength, energy) or None"
         )
+        raise wrong_type(f"{label}: law", law, expected)
+    if isinstance(law, ElasticLayer) and friction is not None:
+        raise InputError(
+            f"{label}: an ElasticLayer holds along the surfaces: leave friction out. Its "
+            "shear_stiffness=0 leaves them free to slide"
+        )
+
+
+def check_bond_law(law: Any, label: str) -> None:
+    """Check that there is a law of surfaces that are one at first, or none."""
+    if law is not None and not isinstance(law, BondLaw):
+        expected = "Cohesive(strength, energy), ElasticLayer(stiffness) or None"
         raise wrong_type(f"{label}: law", law, expected)
 
 

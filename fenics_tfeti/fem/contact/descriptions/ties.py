@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from fenics_tfeti.errors import InputError, check_value, wrong_type
+from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
+from fenics_tfeti.fem.contact.descriptions.laws import BondLaw, check_bond_law
 from fenics_tfeti.fem.contact.descriptions.surfaces import SurfacePair, checked_label
 from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.fem.user_data import (
@@ -38,16 +42,48 @@ class TiedPair(SurfacePair):
     slave, master : int or str, or list of these
         Tag or name of the slave's and of the master's surface. The slave should be the softer
         surface and, of two equally stiff ones, that with the larger facets.
+    law : Cohesive or ElasticLayer, optional
+        What the surfaces exert where they move apart or along each other; by default they do not. A
+        `Cohesive` bond breaks, and leaves contact without friction. Surfaces are unstrained as they
+        are meshed; results are those of a `ContactPair` with ``initial_gap=0``, which may have
+        friction, too. With small strains on undeformed surfaces only.
     name : str
         For messages and the report.
 
     Examples
     --------
     >>> TiedPair(facet_tags, slave=5, master=6, name="glue")  # doctest: +SKIP
+    >>> TiedPair(facet_tags, 5, 6, law=Cohesive(57e6, 280.0))  # doctest: +SKIP
     """
 
     default_name = "tied pair {}"
     remedy = "Bodies that share the nodes of a surface are tied already"
+    law: BondLaw | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        check_bond_law(self.law, checked_label(self))
+
+    @cached_property
+    def bond(self) -> BondedPair | None:
+        """The contact of surfaces with a law, which stands for this pair; None without."""
+        if self.law is None:
+            return None
+        return BondedPair(
+            facet_tags=self.facet_tags,
+            slave=self.slave,
+            master=self.master,
+            name=self.name,
+            law=self.law,
+            initial_gap=0.0,
+            partial=True,
+        )
+
+
+class BondedPair(ContactPair):
+    """A contact that stands for a `TiedPair` with a law."""
+
+    default_name = TiedPair.default_name
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,6 +268,11 @@ class LinearRows:
 
 
 Tie: TypeAlias = TiedPair | PeriodicPair | BoltPreload | LinearRows
+
+
+def with_bonds(contacts: Sequence[Contact | Tie]) -> list[Contact | Tie]:
+    """Return contacts and ties, with the contact of a tied pair with a law in its place."""
+    return [(isinstance(tie, TiedPair) and tie.bond) or tie for tie in contacts]
 
 
 def _check_rotation(rotation: ArrayLike, label: str) -> None:

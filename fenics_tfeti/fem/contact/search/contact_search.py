@@ -41,7 +41,7 @@ from fenics_tfeti.fem.contact.descriptions.surfaces import (
     free_key,
     surface_tags,
 )
-from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.descriptions.ties import Tie, with_bonds
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.search.roles import nodal_stiffness, roles_ratios
@@ -112,6 +112,7 @@ class ContactSearch:
 
         Ties that are kept, by number, are not searched.
         """
+        contacts = with_bonds(contacts)
         ties = {k: tie for k, tie in enumerate(contacts) if isinstance(tie, Tie)}
         given = {k: contact for k, contact in enumerate(contacts) if not isinstance(contact, Tie)}
         last_contacts = self._last.contacts if self._last else []

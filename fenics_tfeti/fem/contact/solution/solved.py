@@ -22,7 +22,7 @@ from fenics_tfeti.fem.contact.conditions.friction import NodalFriction
 from fenics_tfeti.fem.contact.conditions.laws import NodalLaw
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, FoundTie, consecutive
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair
-from fenics_tfeti.fem.contact.descriptions.laws import RoughContact, SoftContact
+from fenics_tfeti.fem.contact.descriptions.laws import ElasticLayer, RoughContact, SoftContact
 from fenics_tfeti.fem.contact.rigid.frames import BodyFrame, RigidBodies
 from fenics_tfeti.fem.contact.solution.penetration import measured_penetration, whole_surfaces
 from fenics_tfeti.fem.contact.solution.results import (
@@ -181,7 +181,7 @@ def _with_pressures(results: list[ContactResult], comm: MPI.Intracomm) -> list[C
 
 def _is_hard(contact: Contact) -> TypeGuard[ContactPair]:
     """Tell whether a contact is a pair that is not meant to be penetrated."""
-    gives_way = SoftContact | RoughContact
+    gives_way = SoftContact | RoughContact | ElasticLayer
     return isinstance(contact, ContactPair) and not isinstance(contact.law, gives_way)
 
 

@@ -40,7 +40,12 @@ from fenics_tfeti.fem.topology import (
     vertex_nodes,
 )
 from fenics_tfeti.fem.user_data import VectorField, unit_vectors
-from fenics_tfeti.parallel import concatenate_ranks, largest_of_groups, raise_collectively
+from fenics_tfeti.parallel import (
+    concatenate_ranks,
+    largest_of_groups,
+    largest_of_ranks,
+    raise_collectively,
+)
 from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 
@@ -192,6 +197,19 @@ class Surface:
             raise InputError(
                 f"{bad.name}: slave and master share {bad.number} nodes, the first at {bad.place}. "
                 f"{remedy}"
+            )
+
+    def check_joined(self, distance: Vector, rows: Numbers) -> None:
+        """Check that some of the nodes (q,) are on the master, by distances (q,) [m]. Collective.
+
+        What moves with the rotation of facets is no farther apart than these are large.
+        """
+        largest = largest_of_ranks(self.comm, distance)
+        if bad := self.first_wrong(distance > 0.5 * self.size[rows], rows):
+            raise InputError(
+                f"{bad.name}: the surfaces are apart, or overlap, by more than half a facet at "
+                f"{bad.number} slave nodes, by up to {largest:.3g}, the first at {bad.place}. Tie "
+                "surfaces that lie on each other"
             )
 
     def without_rounding(self, lengths: Vector, contact: Numbers | int = 0) -> Vector:
