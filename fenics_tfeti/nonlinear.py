@@ -14,12 +14,16 @@ from dolfinx.fem import Constant, Function
 
 from fenics_tfeti.errors import InputError, Interrupted, NotConverged, wrong_type
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
-from fenics_tfeti.fem.contact.descriptions.arguments import as_residual
+from fenics_tfeti.fem.contact.descriptions.arguments import as_residual, check_hard_or_soft
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
 from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.solution.bonded import BondedContacts
+from fenics_tfeti.fem.contact.solution.damage import damaged_at_loads
 from fenics_tfeti.fem.contact.solution.transfer import expected_contact
 from fenics_tfeti.fem.displacement import fill_owned, owned_values
 from fenics_tfeti.fem.gradients import CellGradients
@@ -39,7 +43,7 @@ from fenics_tfeti.newton.rounding import Rounding
 from fenics_tfeti.newton.stability import instability
 from fenics_tfeti.options import NewtonOptions, contact_options
 from fenics_tfeti.parallel import largest_of_ranks, meet, raise_collectively
-from fenics_tfeti.report import ContactReport
+from fenics_tfeti.report import ContactReport, DamageEntry, DamageStep
 from fenics_tfeti.sensitivities.adjoint import Functional, form_and_forces
 from fenics_tfeti.sensitivities.deformed import (
     DeformedAdjoint,
@@ -49,6 +53,7 @@ from fenics_tfeti.sensitivities.deformed import (
 )
 from fenics_tfeti.sensitivities.forms import CHANGED, FormsAtSolution, check_functional
 from fenics_tfeti.sensitivities.tangent import Change
+from fenics_tfeti.typing import Array, Vector
 
 # Newton steps up to which longer load steps are tried, and above which shorter ones
 _EASY, _HARD = 6, 15
@@ -263,6 +268,12 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         if not callable(set_load):
             raise wrong_type("follow: set_load", set_load, "a function of the load")
         check_positive(length, "follow: length")
+        for number, contact in enumerate(self.contacts):
+            if isinstance(getattr(contact, "law", None), Cohesive):
+                raise InputError(
+                    f"{contact_name(contact, number)}: follow() knows no bonds that break. Take "
+                    "steps() with prescribed displacements"
+                )
         arc, easy = Arc(set_load, begin, owned_values(self.u), length), 0
         for _ in range(steps):
             try:
@@ -302,6 +313,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         """
         if not self._is_solved or self._solved is None or self._solution is None:
             raise InputError("mesh_error() is of a solution; call solve() first")
+        check_hard_or_soft(self.contacts, "mesh_error() is")
         meet(self.space.mesh.comm, "mesh_error()")
         with self._timer.phase("mesh error"):
             cells = MeshErrorProblem(
@@ -416,10 +428,10 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
                 raise InputError("there is nothing to differentiate: call solve(), and let it end")
             check_functional(J, self.u)
             for number, contact in enumerate(self.contacts):
-                if getattr(contact, "law", None) is not None:
+                if (law := getattr(contact, "law", None)) is not None:
                     raise InputError(
                         f"{contact_name(contact, number)}: derivatives at finite strains know no "
-                        "SoftContact. Leave it out, or difference solves"
+                        f"{type(law).__name__}. Leave it out, or difference solves"
                     )
         end = self._end
         forms = FormsAtSolution(None, self._torn.torn.forms.linear.form, J, self.u)
@@ -450,6 +462,46 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         self._refresh()
         if coarse is not None:
             self._start_from(coarse)
+        bonded = BondedContacts.of(self._torn.undeformed, self._accepted.damage)
+        if bonded is None:
+            self._find_equilibrium(SlaveValues(), monitor, checkpoint)
+        else:
+            self._find_damage(bonded, monitor, checkpoint)
+
+    def _find_damage(
+        self,
+        bonded: BondedContacts,
+        monitor: Monitor | None,
+        checkpoint: str | os.PathLike[str] | None,
+    ) -> None:
+        """Find the equilibrium with the damage of bonds, by passes with a fixed one."""
+        reports = list[NonlinearReport]()
+
+        def solve(damage: Vector) -> Array:
+            self._find_equilibrium(bonded.damage_at_nodes(damage), monitor, checkpoint)
+            if not self.report.converged:
+                raise NotConverged(self.report.reason, self.u, self.report)
+            reports.append(self.report)
+            assert self._solved is not None
+            return bonded.jumps(self._solved)
+
+        found = damaged_at_loads(bonded.bonds, solve, bonded.before, self.options.damage_rtol)
+        path = [
+            DamageStep(1.0, point.dissipated, [list(r.force) for r in self.report.reactions])
+            for point in found.path
+        ]
+        products = sum(step.products for report in reports for step in report.newton)
+        dissipated, failed = bonded.by_contact(found.dissipated), bonded.failed(found.damage)
+        entry = DamageEntry(dissipated, failed, path, 0, found.passes, products)
+        self._report = replace(self.report, damage=entry)
+
+    def _find_equilibrium(
+        self,
+        damage: SlaveValues,
+        monitor: Monitor | None,
+        checkpoint: str | os.PathLike[str] | None,
+    ) -> None:
+        """Find the equilibrium with a damage (k,) of bonds by Newton's method."""
         bodies = self._torn.undeformed.bodies.restored(self._accepted.bodies)
         load_case = LoadCase(
             self._torn,
@@ -458,6 +510,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
             self._gradients,
             self._shear_over_bulk,
             Rounding.none(self._torn.nodes),
+            damage,
         )
         try:
             start = np.concatenate([owned_values(self.u), bodies.as_vector(bodies.motions)])

@@ -18,9 +18,8 @@ from fenics_tfeti.errors import InputError, Interrupted, NotConverged
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.contact.conditions.friction import SlipOrigin
 from fenics_tfeti.fem.contact.contact_set import ContactSet
-from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps
+from fenics_tfeti.fem.contact.descriptions.arguments import as_forms, as_gaps, check_hard_or_soft
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Deformed
-from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
 from fenics_tfeti.fem.contact.descriptions.laws import (
     Adhesive,
     ElasticBond,
@@ -293,7 +292,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         comm = self.space.mesh.comm
         if self._solved is None or self._solution is None:
             raise InputError("mesh_error() is of a solution; call solve() first")
-        self._check_hard_or_soft("mesh_error() is")
+        check_hard_or_soft(self.contacts, "mesh_error() is")
         meet(comm, "mesh_error()")
         with self._timer.phase("mesh error"):
             cells = MeshErrorProblem(
@@ -465,16 +464,6 @@ class ContactProblem(SteppedProblem[ContactReport]):
                     "out, or difference solves"
                 )
 
-    def _check_hard_or_soft(self, what: str) -> None:
-        """Check that no contact has another law or elastic slip, as not everything is for these."""
-        for number, contact in enumerate(self.contacts):
-            friction, law = (getattr(contact, data, None) for data in ("friction", "law"))
-            if not isinstance(law, SoftContact | None) or is_elastic(friction):
-                raise InputError(
-                    f"{contact_name(contact, number)}: {what} of hard or soft contact without "
-                    "elastic slip alone. Leave out law and elastic_slip"
-                )
-
     # -- the present data --------------------------------------------------------------------------
 
     @property
@@ -593,7 +582,6 @@ class ContactProblem(SteppedProblem[ContactReport]):
         dimension = self.space.mesh.topology.dim - 1
         with self._as_before_errors():
             found = damaged(bonded.bonds, solve, bonded.before, self.options.damage_rtol, dimension)
-        failed = np.where(bonded.bonds.bonded & (found.damage >= 1.0), 1.0, 0.0)
         path = [
             DamageStep(
                 point.factor,
@@ -607,7 +595,7 @@ class ContactProblem(SteppedProblem[ContactReport]):
         ]
         entry = DamageEntry(
             bonded.by_contact(found.dissipated),
-            {name: round(number) for name, number in bonded.by_contact(failed).items()},
+            bonded.failed(found.damage),
             path,
             sum(after.factor < before.factor for before, after in pairwise(path)),
             found.passes,

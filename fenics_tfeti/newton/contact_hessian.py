@@ -122,7 +122,10 @@ class ContactHessian:
         ]
         force = load_case.torn.sum_at_nodes(self.exact, parts) + pressed + turned
         gap = _difference(self._gap, face.distances_of(rows)) / eps
-        gap[: face.held.size] -= face.rows.compliance * self._normal_of_changes(change.forces)
+        compliance = face.rows.compliance(face.multipliers)
+        gap[: face.held.size] -= compliance * self._normal_of_changes(change.forces)
+        tangential = face.rows.friction_forces(self.base.changes_of(change.forces))
+        gap[face.held.size :] -= face.rows.elastic_slip(tangential)[face.sticks].ravel()
         tied_gap = _difference(self._tied_gap, rows.tied.gap / rows.tied.length) / eps
         tied_gap += self._shortened(change)
         force = load_case.at_free(force, face.rows)

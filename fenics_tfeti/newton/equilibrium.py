@@ -51,7 +51,7 @@ class DeformedRows:
         return DeformedRows(
             contact_set,
             replace(contacts, gap=contacts.gap - moved),
-            here.friction_rows(origin, u),
+            contact_set.with_bond_slips(here.friction_rows(origin, u), u),
             replace(tied, gap=tied.gap - row_values(nodes, tied, u, free)),
         )
 
@@ -76,13 +76,27 @@ class DeformedRows:
         return self.contacts.gap / self.contacts.length
 
     @property
-    def compliance(self) -> Vector:
-        """How far a unit of force closes each row that presses (k,) [m/N]; zero is rigid."""
-        return np.asarray(self.contacts.compliance)[:, 0]
+    def is_bonded(self) -> Mask:
+        """Tell which rows (k,) may pull, by the springs of bonds."""
+        return np.isfinite(np.asarray(self.contacts.compliance)[:, 1])
+
+    def compliance(self, multipliers: Multipliers) -> Vector:
+        """Return how far a unit of force closes each row (k,) [m/N]; zero is rigid.
+
+        That of bonds is another one where they pull.
+        """
+        pressed, pulled = np.asarray(self.contacts.compliance).T
+        pulls = self.is_bonded & (self.normal_forces(multipliers) < 0.0)
+        return np.where(pulls, pulled, pressed)
 
     def given_way(self, multipliers: Multipliers) -> Vector:
         """Return how far springs give way (k,) [m]."""
-        return self.compliance * self.normal_forces(multipliers)
+        return self.compliance(multipliers) * self.normal_forces(multipliers)
+
+    def slips_left(self, multipliers: Multipliers) -> Vector:
+        """Return `Friction.slip` (k, gdim - 1) without what springs have given way by [m]."""
+        elastic = self.elastic_slip(self.friction_forces(multipliers))
+        return np.asarray(self.friction.slip) + elastic
 
     def distances_under(self, multipliers: Multipliers) -> Vector:
         """Return distances (k,) without what springs give way by: zero of rows that press [m]."""
@@ -97,8 +111,9 @@ class DeformedRows:
         [m] are negligible.
         """
         force, bound = self.friction_forces(multipliers), self.slip_bounds(multipliers)
+        slip = self.slip - self.elastic_slip(force)
         # in directions without force supports decide the slip
-        slip = np.where((force == 0.0) | (np.abs(self.slip) <= negligible), 0.0, self.slip)
+        slip = np.where((force == 0.0) | (np.abs(slip) <= negligible), 0.0, slip)
         trial = force + stiffness * slip
         size = np.linalg.norm(trial, axis=1)
         share = np.divide(bound, size, out=np.ones_like(size), where=size > bound)
@@ -106,14 +121,25 @@ class DeformedRows:
 
     @property
     def slip(self) -> Vector:
-        """Slip since the last load step (k, gdim - 1) along the tangents of each site [m]."""
+        """Slip since the last load step (k, gdim - 1) along the tangents of each site [m].
+
+        Of bonds it is that of all steps.
+        """
         return -np.asarray(self.friction.slip)
+
+    def elastic_slip(self, force: Vector) -> Vector:
+        """Return the slips (k, gdim - 1) of bonds under tangential forces [m]."""
+        return np.asarray(self.friction.compliance)[:, None] * force
 
     def friction_forces(self, multipliers: Multipliers) -> Vector:
         """Return the tangential forces (k, gdim - 1) along the tangents of each site [N]."""
         traction = multipliers.tangential[self.place[self.friction.row]]
         length = self.contacts.length[self.friction.row]
         return length[:, None] * np.einsum("kta,ka->kt", self.friction.tangents, traction)
+
+    def possible(self, normal: Vector) -> Vector:
+        """Return normal forces (k,), none that pull where nothing is bonded [N]."""
+        return np.where(self.is_bonded, normal, np.maximum(normal, 0.0))
 
     def normal_forces(self, multipliers: Multipliers) -> Vector:
         """Return the normal forces (k,) of the contact rows [N]."""
@@ -122,16 +148,19 @@ class DeformedRows:
     def slip_bounds(self, multipliers: Multipliers) -> Vector:
         """Return the slip bounds (k,) of normal forces [N]."""
         friction, normal = self.friction, self.normal_forces(multipliers)
-        return friction.bound + np.asarray(friction.coefficient) * normal[friction.row]
+        pressing = np.maximum(normal[friction.row], 0.0)
+        return friction.bound + np.asarray(friction.coefficient) * pressing
 
     def at_bounds(self, multipliers: Multipliers) -> Multipliers:
         """Return multipliers with forces at their bounds, in their directions, where nodes slip."""
         friction, place = self.friction, self.place[self.friction.row]
-        slipping = multipliers.slipping[place]
+        # bonds hold without bound, and do not slip
+        slipping = multipliers.slipping[place] & np.isfinite(friction.bound)
         if not slipping.any():
             return multipliers
         along = unit(self.friction_forces(multipliers))
-        traction = self.slip_bounds(multipliers) / self.contacts.length[friction.row]
+        bounds = np.where(slipping, self.slip_bounds(multipliers), 0.0)
+        traction = bounds / self.contacts.length[friction.row]
         vectors = np.einsum("kt,kta->ka", traction[:, None] * along, friction.tangents)
         tangential = multipliers.tangential.copy()
         tangential[place[slipping]] = vectors[slipping]
@@ -199,7 +228,7 @@ class Multipliers:
     @staticmethod
     def of(rows: DeformedRows, solution: TornSolution) -> Multipliers:
         """Return those of a solution for the rows."""
-        normal = np.maximum(solution.normal_force, 0.0)
+        normal = rows.possible(solution.normal_force)
         forces = normal, solution.tangential_force, solution.tied_force
         return Multipliers.at_rows(rows, *forces, ~solution.sticking)
 
@@ -222,7 +251,8 @@ class Multipliers:
     def from_forces(rows: DeformedRows, force: SlaveValues) -> Multipliers:
         """Return those of normal forces (k,) alone [N]."""
         new = Multipliers.none(rows)
-        new.normal[rows.place] = rows.contact_set.at_conditions(force) / rows.contacts.length
+        normal = rows.possible(rows.contact_set.at_conditions(force))
+        new.normal[rows.place] = normal / rows.contacts.length
         return new
 
 
@@ -272,7 +302,8 @@ class Equilibrium:
         distance = rows.distances_under(multipliers)
         distance = np.where(np.isfinite(distance), distance, np.inf)
         counts = np.isfinite(distance) & (np.abs(distance) > rounding.length(size))
-        loaded = multipliers.normal[rows.place] > 0.0
+        # bonds have the forces of their openings
+        loaded = rows.is_bonded | (multipliers.normal[rows.place] > 0.0)
         penetration = largest_of_ranks(nodes.comm, -distance[counts])
         separation = largest_of_ranks(nodes.comm, np.abs(distance[counts & loaded]))
         tiny = float(np.finfo(float).tiny)

@@ -1,4 +1,4 @@
-"""The face of a Newton step: contact rows that press hold with equality.
+"""The face of a Newton step: contact rows that press, or pull by bonds, hold with equality.
 
 Where nodes press, the row holds whatever the change of its force; where friction holds them, too,
 so do the tangential rows. Where they slip, friction forces are loads; in three dimensions they may
@@ -63,12 +63,12 @@ class Face:
         stick are unknown up to their bounds: else it would reach one node in each step.
         """
         friction, place = rows.friction, rows.place
-        held = multipliers.normal[place] > 0.0
+        held = multipliers.normal[place] != 0.0
         forces = rows.friction_forces(multipliers)
         back, size = np.sum(forces * rows.slip, axis=1), np.linalg.norm(forces, axis=1)
         at = place[friction.row]
         returns = multipliers.slid[at] & (back < -negligible * size)
-        slips = multipliers.slipping[at] & ~returns
+        slips = multipliers.slipping[at] & ~returns & np.isfinite(friction.bound)
         sites = held[friction.row]
         turns = sites & slips & (friction.tangents.shape[1] > 1)
         slid, begins = multipliers.slid[at], slips & ~multipliers.slid[at]
@@ -126,14 +126,18 @@ class Face:
         return RowValues(normal, tangential[self.free], changes.tied)
 
     def pulling(self, changes: Vector) -> Mask:
-        """Tell which held rows would pull after changes of the forces at `contacts`."""
-        forces = self.rows.normal_forces(self.multipliers) + changes[: self.held.size]
-        return self.held & (forces < 0.0)
+        """Tell which held rows would pull after changes of the forces at `contacts`.
+
+        With them are bonds that would press, which are rigid then.
+        """
+        before = self.rows.normal_forces(self.multipliers)
+        forces = before + changes[: self.held.size]
+        return self.held & np.where(before < 0.0, forces > 0.0, forces < 0.0)
 
     @property
     def soft(self) -> Mask:
         """The held rows (contact rows,) with springs, whose forces may change by either sign."""
-        return self.held & (self.rows.compliance > 0.0)
+        return self.held & (self.rows.compliance(self.multipliers) > 0.0)
 
     @cached_property
     def held_forces(self) -> Multipliers:
@@ -150,7 +154,8 @@ class Face:
         Gaps are without what springs have given way by already.
         """
         contacts, compliance = self.rows.contacts, np.array(self.rows.contacts.compliance)
-        compliance[self.soft, 1] = compliance[self.soft, 0]
+        compliance[self.soft] = self.rows.compliance(self.multipliers)[self.soft, None]
+        compliance[self.held & ~self.soft] = 0.0, np.inf
         contacts = replace(
             contacts,
             gap=contacts.gap + contacts.length * self.rows.given_way(self.held_forces),
@@ -159,8 +164,12 @@ class Face:
         )
         if not self.sticks.any():
             return contacts
-        tangential = self._friction(self.sticks).tangential_rows(contacts)
-        tangential = replace(tangential, held=np.ones(tangential.size, dtype=bool))
+        left = self.rows.slips_left(self.multipliers)[self.sticks]
+        sticking = replace(self._friction(self.sticks), slip=left)
+        tangential = sticking.tangential_rows(contacts)
+        elastic = np.repeat(np.asarray(sticking.compliance), left.shape[1])
+        springs = np.where(elastic[:, None] > 0.0, elastic[:, None], [0.0, np.inf])
+        tangential = replace(tangential, held=elastic == 0.0, compliance=springs)
         return ContactRows.concatenate([contacts, tangential])
 
     @cached_property
@@ -186,7 +195,7 @@ class Face:
         distance = np.full(self.multipliers.normal.size, np.nan)
         slip = np.full((distance.size, rows.friction.tangents.shape[1]), np.nan)
         distance[rows.place] = rows.distances_under(self.held_forces)
-        slip[rows.place[rows.friction.row]] = rows.friction.slip
+        slip[rows.place[rows.friction.row]] = rows.slips_left(self.multipliers)
         at_sites = self.rows.place[self.rows.friction.row[self.sticks]]
         return np.append(distance[self.rows.place], slip[at_sites].ravel())
 
@@ -203,7 +212,7 @@ class Face:
         normal, of_sticking = np.split(part * changes.normal, [rows.contacts.size])
         kept = self.held & (self.soft | has_row[: rows.contacts.size])
         kept = np.where(kept, rows.normal_forces(before), 0.0)
-        pressing = np.maximum(kept + normal, 0.0)
+        pressing = rows.possible(kept + normal)
         forces, slipping = rows.friction_forces(before), np.zeros(rows.friction.size, dtype=bool)
         forces[self.free], slipping[self.free] = part * changes.tangential, ~sticking
         forces[self.sticks] += of_sticking.reshape(-1, forces.shape[1])
@@ -212,7 +221,8 @@ class Face:
         bound, size = rows.slip_bounds(changed), np.linalg.norm(forces, axis=1)
         slides = ~(self.sticks | self.free)
         slides |= self.sticks & (size > bound)
-        scale = np.divide(bound, size, out=np.zeros_like(size), where=size > 0.0)
+        slides &= np.isfinite(bound)
+        scale = np.divide(bound, size, out=np.zeros_like(size), where=slides & (size > 0.0))
         forces = np.where(slides[:, None], scale[:, None] * forces, forces)
         after = Multipliers.at_rows(rows, pressing, forces, changed.tied, slipping | slides)
         # one that has only begun to slip has no direction of slip yet

@@ -207,7 +207,7 @@ class NewtonIteration:
         increment = np.concatenate([owned_values(self._increment), bodies.as_vector(turned)])
         new, length = self._shortened(state, increment, step, self._allowed_length(turned))
         pressing = new.multipliers.normal > 0.0
-        changed = pressing != (state.multipliers.normal > 0.0)
+        changed = np.sign(new.multipliers.normal) != np.sign(state.multipliers.normal)
         self._alternating = changed & self._changed if self._changed.size else changed & False
         self._changed = changed
         report = self.solution.report
@@ -432,7 +432,7 @@ class NewtonIteration:
     def _worst_contact(self, state: NewtonState) -> str:
         """Name the contact whose surfaces are farthest from touching, if any. Collective."""
         rows, names = state.rows, state.rows.contact_set.names
-        pressing = state.multipliers.normal[rows.place] > 0.0
+        pressing = state.multipliers.normal[rows.place] != 0.0
         distance = rows.distances_under(state.multipliers)
         distance = np.where(pressing, np.abs(distance), -distance)
         is_wrong = np.isfinite(distance)

@@ -32,14 +32,15 @@ def solution_at(
     normal, tied = rows.normal_forces(multipliers), multipliers.tied
     tangential = rows.friction_forces(multipliers)
     sticking = ~multipliers.slipping[place]
-    slip = np.where(sticking[:, None], 0.0, rows.slip)
+    plastic = np.where(sticking[:, None], 0.0, rows.slip)
+    slip = np.where(np.asarray(friction.compliance)[:, None] > 0.0, rows.slip, plastic)
     x = nodes.coordinates + displacement
     beyond = np.append(rows.contacts.nodes, rows.tied.nodes)
     unknowns = np.setdiff1d(beyond[beyond >= nodes.total], _corners(rows)[0])
     forces = RowForces.of(rows.contacts, rows.tied, friction, (normal, tied, tangential), unknowns)
     contact = rows.contacts.contact[friction.row]
     work = np.zeros(len(contact_set.names))
-    np.add.at(work, contact, np.sum(tangential * slip, axis=1))
+    np.add.at(work, contact, np.sum(tangential * plastic, axis=1))
     points = _points(rows, x, forces.rows.nodes)
     contacts = forces.of_contacts(rows.contacts, contact_set.names, points, work, nodes.comm)
     supports = internal + rows.force(multipliers)[0]

@@ -65,6 +65,7 @@ class LoadCase:
     gradients: CellGradients
     shear_over_bulk: float  # mu / kappa of the least compressible material
     rounding: Rounding
+    damage: SlaveValues  # (k,) of bonds
 
     def state_at(
         self,
@@ -131,7 +132,7 @@ class LoadCase:
         before = None if last is None else last.contact_set
         here = replace(bodies, from_here=True)
         contact_set = (undeformed or self.torn.undeformed).deformed(uh, here, before)[0]
-        contact_set = contact_set.with_friction(uh).with_turned_ties(uh)
+        contact_set = contact_set.with_friction(uh).damaged(self.damage).with_turned_ties(uh)
         return DeformedRows.of(contact_set, uh, self.origin)
 
     @cached_property

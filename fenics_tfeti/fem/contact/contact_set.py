@@ -34,7 +34,7 @@ from fenics_tfeti.fem.contact.conditions.friction import (
 from fenics_tfeti.fem.contact.conditions.laws import NodalLaw, nodal_law
 from fenics_tfeti.fem.contact.conditions.ties import Preload, TiedConditions
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, Patch, RigidObstacle
-from fenics_tfeti.fem.contact.descriptions.laws import BondLaw, RoughContact
+from fenics_tfeti.fem.contact.descriptions.laws import BondLaw, Cohesive, RoughContact
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.roles import Roles
 from fenics_tfeti.fem.contact.descriptions.ties import BoltPreload, Tie
@@ -43,6 +43,7 @@ from fenics_tfeti.fem.contact.rigid.nodes import RigidNodes
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import prescribed_components
 from fenics_tfeti.fem.messages import first_wrong
+from fenics_tfeti.fem.tolerances import RELATIVE_ROUNDING
 from fenics_tfeti.feti.system import ContactRows, Friction, Prescribed, Subdomain
 from fenics_tfeti.parallel import positions
 from fenics_tfeti.typing import Array, Numbers, Vector
@@ -113,6 +114,54 @@ class FoundContact:
         """The rigid body that the obstacle is a surface of."""
         return self.contact.rigid_body if isinstance(self.contact, RigidObstacle) else None
 
+    def law_at_conditions(self) -> NodalLaw | None:
+        """Return the law at the conditions; bonds are those of undeformed areas. Collective."""
+        if not isinstance(getattr(self.contact, "law", None), Cohesive):
+            return nodal_law(self.contact, self.conditions)
+        law = nodal_law(self.contact, self.undeformed)
+        assert law is not None and law.bonds is not None
+        known = positions(self.undeformed.slave, self.conditions.slave)
+        nothing = np.zeros((1, law.bonds.columns().shape[1]))
+        columns = np.concatenate([law.bonds.columns(), nothing])[known]
+        return NodalLaw.of_bonds(Bonds.from_columns(columns))
+
+    def with_bonded_pairs(self) -> FoundContact:
+        """Return the contact with what was opposite each other in conditions of bonds. Collective.
+
+        Their weights do not change as edges of facets move across each other.
+        """
+        law, new, first = self.law, self.conditions, self.undeformed
+        assert law is not None and law.damage is not None
+        if isinstance(self.contact, RigidObstacle):
+            return self
+        jump = first.mean_jumps(first.surface.boundary.nodes.coordinates)
+        place = np.where(law.damage < 1.0, positions(first.slave, new.slave), -1)
+        gap = np.where(place >= 0, -np.sum(jump[place] * new.normal, axis=1), new.gap)
+        terms = new.terms.replaced(first.terms, place)
+        return replace(self, conditions=replace(new, terms=terms, gap=gap))
+
+    def jumps_along(self, displacement: Vector) -> Vector:
+        """Return how far bonds are sheared (k, gdim - 1) along the tangents [m]. Collective.
+
+        It is the jump of what was opposite each other, and turns with the surface, at displacements
+        (owned, gdim).
+        """
+        along, undeformed = self.along, self.undeformed
+        assert along is not None
+        place = positions(undeformed.slave, self.conditions.slave)
+        moved = undeformed.mean_jumps(displacement)
+        if isinstance(self.contact, RigidObstacle):
+            jump = moved[place] - along.obstacle_displacement
+        else:
+            # what was beside each other turns by the least rotation of the normal
+            first = undeformed.mean_jumps(undeformed.surface.boundary.nodes.coordinates)
+            normal, turned = undeformed.normal[place], self.conditions.normal
+            before = first[place] - np.sum(first[place] * normal, axis=1)[:, None] * normal
+            cosine = np.sum(normal * turned, axis=1)
+            part = np.sum(before * turned, axis=1) / np.maximum(1.0 + cosine, RELATIVE_ROUNDING)
+            jump = (first + moved)[place] - before + part[:, None] * (normal + turned)
+        return np.einsum("kta,ka->kt", along.tangents, jump)
+
     def placed(self, rigid: RigidNodes) -> FoundContact:
         """Return the contact with the places on its body, if it has one. Collective."""
         master = rigid.master_of(self.conditions.terms, self.conditions.name)
@@ -166,6 +215,21 @@ class ContactSet:
             if found.law is not None and found.law.bonds is not None
             if found.law.damage is not None
         ]
+
+    def damaged(self, damage: SlaveValues) -> ContactSet:
+        """Return the set with a damage (k,) of its bonds, which join what was opposite. Collective.
+
+        Where bonds have failed contact is with what is opposite now.
+        """
+        contacts = list[FoundContact]()
+        for found in self.contacts:
+            law = found.law
+            if law is not None and law.bonds is not None:
+                known = damage.at(found.history, self.dofs(found.conditions.slave))
+                law = law.damaged(np.maximum(law.bonds.intact(), known))
+                found = replace(found, law=law).with_bonded_pairs()
+            contacts.append(found)
+        return replace(self, contacts=contacts)
 
     @property
     def adhesive(self) -> list[tuple[int, FoundContact, NodalLaw]]:
@@ -280,6 +344,23 @@ class ContactSet:
         rows = contact_rows(self.all_conditions, nodes.components)
         return friction_rows(nodes, rows, sites, displacement)
 
+    def with_bond_slips(self, friction: Friction, displacement: Vector) -> Friction:
+        """Return friction with the slips of bonds of all load steps. Collective.
+
+        The displacement (n,) is at the degrees of freedom that this rank owns [m].
+        """
+        slip, first = np.array(friction.slip), 0
+        u = displacement.reshape(-1, self.boundary.nodes.components)
+        for found in self.contacts:
+            stiffness = None if found.law is None else found.law.stiffness_along
+            if found.along is not None:
+                sites = slice(first, first + found.conditions.gap.size)
+                first = sites.stop
+                if stiffness is not None:
+                    held = (stiffness > 0.0)[:, None]
+                    slip[sites] = np.where(held, -found.jumps_along(u), slip[sites])
+        return replace(friction, slip=slip)
+
     def _obstacle_motion(
         self, found: FoundContact, friction: NodalFriction, origin: SlipOrigin
     ) -> Vector:
@@ -313,7 +394,7 @@ class ContactSet:
             bond = getattr(found.contact, "law", None)
             holds = isinstance(bond, BondLaw) and bond.holds_along
             friction = nodal_friction(found.contact, found.conditions, fixed, boundary, holds)
-            law = nodal_law(found.contact, found.conditions)
+            law = found.law_at_conditions()
             contacts.append(replace(found, friction=friction, law=law))
         return replace(self, contacts=contacts)
 

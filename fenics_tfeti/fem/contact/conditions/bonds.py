@@ -120,10 +120,14 @@ class BondsAtMode:
         r = r / (self.failure - damage * (self.failure - self.elastic))
         return np.clip(r, self.elastic, self.failure)
 
+    def energies(self, length: Vector) -> Vector:
+        """Return the energies (k,) [J] that it takes to damage bonds up to lengths (k,)."""
+        part = (length - self.elastic) / (self.failure - self.elastic)
+        return self.bonds.area * self.energy * np.clip(part, 0.0, 1.0)
+
     def dissipated(self, length: Vector) -> float:
         """Return the energy [J] that it takes to damage all bonds up to lengths (k,)."""
-        part = (length - self.elastic) / (self.failure - self.elastic)
-        return float(np.sum(self.bonds.area * self.energy * np.clip(part, 0.0, 1.0)))
+        return float(np.sum(self.energies(length)))
 
     def misfit(self, damage: Vector, factor: float, wanted: Vector) -> float:
         """Return the largest error of tractions with a damage in place of what the law wants.

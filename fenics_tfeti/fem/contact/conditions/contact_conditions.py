@@ -54,6 +54,17 @@ class Terms:
             )
         return parts
 
+    def replaced(self, other: Terms, place: Numbers) -> Terms:
+        """Return rows of others, at the places (k,) there, but these where it is negative."""
+        taken = place >= 0
+        begin = np.where(taken, self.nodes.size + other.offsets[:-1][place], self.offsets[:-1])
+        counts = np.where(taken, np.diff(other.offsets)[place], np.diff(self.offsets))
+        offsets = np.append(0, np.cumsum(counts))
+        terms = np.repeat(begin - offsets[:-1], counts) + np.arange(offsets[-1])
+        nodes = np.concatenate([self.nodes, other.nodes])[terms]
+        weights = np.concatenate([self.weights, other.weights])[terms]
+        return Terms(offsets, nodes, weights, np.where(taken, other.slaves[place], self.slaves))
+
     @cached_property
     def row(self) -> Numbers:
         """The row of each term, (t,)."""
@@ -234,6 +245,11 @@ class ContactConditions:
         if self.made_on is None:
             return 1.0
         return self.surface.stretch(self.made_on, self.covered)[self.on_surface]
+
+    def mean_jumps(self, values: Vector) -> Vector:
+        """Return values (owned, gdim) at the slave less those opposite it (k, gdim). Collective."""
+        nodes = self.surface.boundary.nodes
+        return self.terms.means(nodes.values_at(values, self.terms.nodes))
 
     def across(self, axes: Vector | None) -> ContactConditions:
         """Return the conditions with normals across axes (s, 3) at the surface's nodes, if any."""

@@ -15,12 +15,16 @@ from dolfinx.fem import Constant, Function, FunctionSpace
 
 from fenics_tfeti.errors import InputError, wrong_type
 from fenics_tfeti.fem import _compat
-from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, Deformed
+from fenics_tfeti.fem.contact.descriptions.contacts import (
+    Contact,
+    ContactPair,
+    Deformed,
+)
 from fenics_tfeti.fem.contact.descriptions.friction import is_elastic
-from fenics_tfeti.fem.contact.descriptions.laws import SoftContact, needs_passes
+from fenics_tfeti.fem.contact.descriptions.laws import Cohesive, SoftContact, needs_passes
 from fenics_tfeti.fem.contact.descriptions.rigid_body import RigidBody
 from fenics_tfeti.fem.contact.descriptions.surfaces import contact_name
-from fenics_tfeti.fem.contact.descriptions.ties import Tie
+from fenics_tfeti.fem.contact.descriptions.ties import Tie, TiedPair
 
 
 def as_forms(a: Any, L: Any) -> tuple[ufl.Form, ufl.Form]:
@@ -143,7 +147,10 @@ def _check_kinds_of_passes(listed: Sequence[Contact | Tie]) -> None:
 def _check_hard(contact: Any, name: str, exact: str, may_be_soft: bool) -> None:
     """Check that a contact has no law that is for undeformed surfaces alone."""
     law = getattr(contact, "law", None)
-    if law is not None and not (may_be_soft and isinstance(law, SoftContact)):
+    may_be = may_be_soft and not isinstance(contact, TiedPair)
+    if isinstance(law, Cohesive):
+        may_be &= getattr(contact, "rigid_body", None) is None
+    if law is not None and not (may_be and isinstance(law, SoftContact | Cohesive)):
         raise InputError(
             f"{name}: law={contact.law!r} is for small strains on undeformed surfaces, but {exact} "
             "moves them. Leave out one of them"
@@ -153,6 +160,17 @@ def _check_hard(contact: Any, name: str, exact: str, may_be_soft: bool) -> None:
             f"{name}: elastic_slip is for small strains on undeformed surfaces, but {exact} moves "
             "them. Leave out one of them"
         )
+
+
+def check_hard_or_soft(contacts: Sequence[Contact | Tie], what: str) -> None:
+    """Check that no contact has another law or elastic slip, as not everything is for these."""
+    for number, contact in enumerate(contacts):
+        friction, law = (getattr(contact, data, None) for data in ("friction", "law"))
+        if not isinstance(law, SoftContact | None) or is_elastic(friction):
+            raise InputError(
+                f"{contact_name(contact, number)}: {what} of hard or soft contact without "
+                "elastic slip alone. Leave out law and elastic_slip"
+            )
 
 
 def _is_condition(thing: Any) -> bool:

@@ -54,7 +54,7 @@ class ContactPair(SurfacePair):
         The law of friction; by default there is none.
     law : SoftContact, RoughContact, Adhesive, ElasticBond, ElasticLayer or Cohesive, optional
         What the surfaces exert across their gap; by default hard contact, that only presses. With
-        small strains on undeformed surfaces only.
+        small strains on undeformed surfaces; SoftContact and Cohesive at finite strains, too.
     initial_gap : "geometric", "touching", float or callable
         The gap between the undeformed surfaces. By default it is that of the mesh. "touching" sets
         gaps to zero that are no larger than the distance of the facets from the curved surface. A

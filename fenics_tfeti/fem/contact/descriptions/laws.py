@@ -190,6 +190,10 @@ class Cohesive:
     walks by steps of equal dissipated energy to the present loads, and finds the first equilibrium
     there, whatever the loads do on the way; `ContactReport.damage` tells it.
 
+    At finite strains bonds join what was opposite each other in the undeformed state, over
+    undeformed areas, with openings and slips across and along the present surface of the slave. All
+    passes are at the present loads: damage should grow by few rows of nodes in a load step.
+
     Attributes
     ----------
     strength : float, callable or dolfinx.fem.Function

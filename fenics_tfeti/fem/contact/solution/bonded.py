@@ -11,7 +11,7 @@ from fenics_tfeti.fem.contact.conditions.bonds import Bonds
 from fenics_tfeti.fem.contact.conditions.contact_conditions import SlaveValues
 from fenics_tfeti.fem.contact.contact_set import ContactSet, FoundContact, consecutive
 from fenics_tfeti.fem.contact.solution.solved import SolvedContacts
-from fenics_tfeti.parallel import concatenate_ranks, first_of_rank
+from fenics_tfeti.parallel import concatenate_ranks, first_of_rank, positions
 from fenics_tfeti.typing import Array, Vector
 
 
@@ -52,19 +52,38 @@ class BondedContacts:
             contacts.append(found)
         return replace(self.contact_set, contacts=contacts)
 
+    def damage_at_nodes(self, damage: Vector) -> SlaveValues:
+        """Return a damage (k,) by the slave nodes of this rank."""
+        found = [found for found, *_ in self.contact_set.bonded]
+        nodes = (self.contact_set.dofs(f.conditions.slave) for f in found)
+        parts = zip(nodes, self._split(damage), strict=True)
+        return SlaveValues.of([f.history for f in found], parts)
+
     def jumps(self, solved: SolvedContacts) -> Array:
-        """Return the jumps (k, 1 + gdim) of a solution at its contacts. Collective."""
-        own, contact_set = list[Array](), solved.contact_set
-        results = dict(zip(contact_set.keys, solved.contacts, strict=True))
-        for found, bonds, _ in contact_set.bonded:
-            result = results[found.key]
-            opening, slip = result.opening, np.zeros_like(result.normal)
-            opening = np.where(np.isfinite(opening), np.maximum(opening, 0.0), 0.0)
-            if result.friction is not None:
-                along = bonds.shear_strength > 0.0
-                slip = np.where(along[:, None], result.friction.slip, 0.0)
-            own.append(np.column_stack([opening, slip]))
-        return concatenate_ranks(contact_set.boundary.nodes.comm, np.concatenate(own))
+        """Return the jumps (k, 1 + gdim) of a solution at its contacts. Collective.
+
+        Nodes that are opposite nothing, as their surface has turned away, are infinitely far apart.
+        """
+        own, comm = list[Array](), self.contact_set.boundary.nodes.comm
+        results = dict(zip(solved.contact_set.keys, solved.contacts, strict=True))
+        for found, bonds, _ in self.contact_set.bonded:
+            result, friction = results[found.key], results[found.key].friction
+            slip = np.zeros_like(result.normal) if friction is None else friction.slip
+            solved_jumps = np.column_stack([np.maximum(result.opening, 0.0), slip])
+            far = np.append(np.inf, np.zeros(slip.shape[1]))
+            place = positions(result.nodes, found.conditions.slave)
+            jump = np.concatenate([solved_jumps, far[None]])[place]
+            holds = np.column_stack([bonds.bonded, *[bonds.shear_strength > 0.0] * slip.shape[1]])
+            own.append(np.where(holds, jump, 0.0))
+        return concatenate_ranks(comm, np.concatenate(own))
+
+    def failed(self, damage: Vector) -> dict[str, int]:
+        """Return the numbers of bonds without anything left, by the names of contacts. Collective.
+
+        They are of a damage (k,).
+        """
+        failed = np.where(self.bonds.bonded & (damage >= 1.0), 1.0, 0.0)
+        return {name: round(number) for name, number in self.by_contact(failed).items()}
 
     def by_contact(self, values: Vector) -> dict[str, float]:
         """Return the sums of values (k,) by the names of contacts. Collective."""

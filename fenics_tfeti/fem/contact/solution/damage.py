@@ -99,6 +99,25 @@ def damaged(bonds: Bonds, solve: Solve, before: Vector, rtol: float, dimension: 
     return _Walk(bonds, solve, before, rtol, dimension).run()
 
 
+def damaged_at_loads(bonds: Bonds, solve: Solve, before: Vector, rtol: float) -> Damaged:
+    """Return the damage at the present loads by passes there alone, whatever they dissipate.
+
+    For problems that are not homogeneous. Arguments are those of `damaged`.
+
+    Raises
+    ------
+    DamageNotFound
+        At the limit on passes, or if a solve fails.
+    """
+    walk = _Walk(bonds, solve, before, rtol, 1)
+    found = walk.at_loads()
+    law = bonds.at(found.jump)
+    spent = law.energies(law.length(found.damage)) - law.energies(law.length(before))
+    grows = bool(np.any(found.damage > before))
+    path = [PathPoint(1.0, float(spent.sum()), found.number)] if grows else []
+    return Damaged(found.damage, path, spent, walk.passes)
+
+
 @dataclass
 class _Walk:
     bonds: Bonds
@@ -159,6 +178,19 @@ class _Walk:
             if found.passes <= _EASY:
                 energy = min(2.0 * energy, longest)
         raise self._not_found() from self.failure
+
+    def at_loads(self) -> _Equilibrium:
+        """Return the equilibrium at the present loads by passes there alone."""
+        found = self._iterate(self.before, self.before, None, _MOST, np.inf)
+        if found is not None:
+            return found
+        what = "the passes have not ended"
+        if self.failure is not None:
+            what = f"a solve with a fixed damage has failed: {self.failure}"
+        raise DamageNotFound(
+            f"the damage of bonds is not found at these loads: {what}. Take smaller load steps, as "
+            "problem.steps() finds them, or prescribe displacements in place of forces"
+        ) from self.failure
 
     # -- steps -------------------------------------------------------------------------------------
 
@@ -224,11 +256,17 @@ class _Walk:
     # -- passes ------------------------------------------------------------------------------------
 
     def _iterate(
-        self, start: Vector, guess: Vector, energy: float | None, most: int
+        self,
+        start: Vector,
+        guess: Vector,
+        energy: float | None,
+        most: int,
+        patience: float = _PATIENCE,
     ) -> _Equilibrium | None:
         """Return the equilibrium with an energy, or at the present loads, from a damage on.
 
-        None at the limit of passes, and where a damage leaves no solution.
+        None at the limit of passes, and where a damage leaves no solution. Passes at the loads that
+        are worse than the first one are given up after some.
         """
         damage, before, first = guess, None, 0.0
         for number in range(1, most + 1):
@@ -242,7 +280,7 @@ class _Walk:
             wanted = self._wanted(law, start, factor)
             misfit = law.misfit(damage, factor, wanted)
             first = misfit if number == 1 else first
-            if energy is None and number > _PATIENCE and misfit > _WORSE * first:
+            if energy is None and number > patience and misfit > _WORSE * first:
                 return None
             if misfit <= self.rtol and (energy is not None or _fails_alike(damage, wanted)):
                 return _Equilibrium(damage, wanted, jump, factor, number, self.passes - 1)
@@ -255,9 +293,10 @@ class _Walk:
             following, residual = y, y - x
             if before is not None:
                 turn = residual - before[1]
-                size = float(turn @ turn)
-                if size > 0.0:
-                    following = y - float(turn @ residual) / size * (x - before[0] + turn)
+                share = float(turn @ residual) / (float(turn @ turn) or 1.0)
+                # at the loads a residual that grows says that the end is ahead, not behind
+                if share <= 1.0 or energy is not None:
+                    following = y - share * (x - before[0] + turn)
             before = x, residual
             damage = np.clip(law.damage(following), start, 1.0)
         return None

@@ -38,6 +38,7 @@ from fenics_tfeti.fem.contact.solution.transfer import SolvedContact, gather_sol
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.fem.displacement import owned_values
 from fenics_tfeti.feti.solver import TornSolution
+from fenics_tfeti.parallel import positions
 from fenics_tfeti.typing import Numbers, Vector
 
 
@@ -155,11 +156,20 @@ class SolvedContacts:
         return SlaveValues.of([found.history for found in self.contact_set.contacts], parts)
 
     def damage(self) -> SlaveValues:
-        """Return the damage (k,) of bonds that can break, and where adhesion has ended."""
-        found = [(f, f.law.damage) for f in self.contact_set.contacts if f.law is not None]
-        known = [(f, damage) for f, damage in found if damage is not None]
-        parts = ((self.contact_set.dofs(f.conditions.slave), damage) for f, damage in known)
-        return SlaveValues.of([f.history for f, _ in known], parts)
+        """Return the damage (k,) of bonds that can break, and where adhesion has ended.
+
+        Bonds at nodes that are opposite nothing have failed.
+        """
+        keys, parts = list[str](), list[tuple[Numbers, Vector]]()
+        for found in self.contact_set.contacts:
+            if found.law is not None and found.law.damage is not None:
+                bonded = found.undeformed.slave
+                place = positions(found.conditions.slave, bonded)
+                keys.append(found.history)
+                parts.append(
+                    (self.contact_set.dofs(bonded), np.append(found.law.damage, 1.0)[place])
+                )
+        return SlaveValues.of(keys, parts)
 
     def gathered(self) -> dict[str, SolvedContact]:
         """Gather the solution on the slaves' surfaces on every rank, by contact. Collective."""
