@@ -477,7 +477,7 @@ class NonlinearContactProblem(SteppedProblem[NonlinearReport]):
         """Find the equilibrium with the damage of bonds, by passes with a fixed one."""
         reports = list[NonlinearReport]()
 
-        def solve(damage: Vector) -> Array:
+        def solve(damage: Vector, _: float) -> Array:
             self._find_equilibrium(bonded.damage_at_nodes(damage), monitor, checkpoint)
             if not self.report.converged:
                 raise NotConverged(self.report.reason, self.u, self.report)

@@ -40,7 +40,14 @@ from fenics_tfeti.fem.displacement import fill_displacement, fill_owned, owned_v
 from fenics_tfeti.fem.gradients import CellStrains, large_gradients
 from fenics_tfeti.fem.mesh_error.estimate import MeshError, estimate_mesh_error
 from fenics_tfeti.fem.mesh_error.problem import MeshErrorProblem
-from fenics_tfeti.feti import ContactGuess, MonitorFunction, TornSolution, TornSolver, interruption
+from fenics_tfeti.feti import (
+    ContactGuess,
+    MonitorFunction,
+    Options,
+    TornSolution,
+    TornSolver,
+    interruption,
+)
 from fenics_tfeti.feti.factors.cholesky import check_real_numbers
 from fenics_tfeti.findings import large_rotations
 from fenics_tfeti.load_steps import SteppedProblem
@@ -55,6 +62,10 @@ from fenics_tfeti.sensitivities.forms import CHANGED, FormsAtSolution, check_fun
 from fenics_tfeti.sensitivities.state import SolvedState
 from fenics_tfeti.sensitivities.tangent import Change, Tangent
 from fenics_tfeti.typing import Array, Vector
+
+# tolerance of passes on the damage of bonds, relative to the misfit of their tractions, and the
+# loosest one
+_BESIDE_MISFIT, _LOOSEST = 0.01, 1e-3
 
 
 class ContactProblem(SteppedProblem[ContactReport]):
@@ -572,9 +583,11 @@ class ContactProblem(SteppedProblem[ContactReport]):
         """Walk to the present loads with the damage of bonds; an error leaves all as it was."""
         reports = list[ContactReport]()
 
-        def solve(damage: Vector) -> Array:
-            start = None if reports else coarse
-            self._solve_linearised(bonded.with_damage(damage), start, monitor)
+        def solve(damage: Vector, misfit: float) -> Array:
+            start, options = None if reports else coarse, self.options.solver
+            rtol = max(options.rtol, min(_LOOSEST, _BESIDE_MISFIT * misfit))
+            options = replace(options, rtol=rtol)
+            self._solve_linearised(bonded.with_damage(damage), start, monitor, options)
             reports.append(self.report)
             assert self._solved is not None
             return bonded.jumps(self._solved)
@@ -616,11 +629,12 @@ class ContactProblem(SteppedProblem[ContactReport]):
         contact_set: ContactSet,
         coarse: list[SolvedContact] | None,
         monitor: MonitorFunction | None,
+        options: Options | None = None,
     ) -> TornSolution:
         """Solve with conditions, and store the results."""
         system = self._torn.system(self._accepted.origin, contact_set)
         guess = self._guess(coarse, contact_set)
-        options = self.options.solver
+        options = options or self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)
         self._is_restored = False
         try:

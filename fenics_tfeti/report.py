@@ -25,7 +25,7 @@ from fenics_tfeti.parallel import meet, raise_collectively
 
 @dataclass(frozen=True)
 class DamageStep:
-    """An equilibrium on the way to the loads of a solve, where damage has grown.
+    """An equilibrium on the way to the loads of a solve, from where damage begins to grow.
 
     Attributes
     ----------
@@ -56,8 +56,9 @@ class DamageEntry:
     failed : dict of str to int
         How many bonds of each contact have failed, at nodes.
     path : list of DamageStep
-        The equilibria on the way to the loads where damage has grown, the last one at them. Of
-        adhesion there are none.
+        The equilibria on the way to the loads, if damage has grown: the first one is where it
+        begins to, the last one at the loads. Of adhesion there are none, and with finite strains
+        the last one alone.
     steps_back : int
         How many of these have smaller loads than the one before: the crack runs by itself.
     passes, products : int

@@ -28,14 +28,16 @@ def test_peak_passes_and_products():
     assert load.max() == pytest.approx(163.7, rel=0.01)
     assert load.max() == pytest.approx(case.beam_theory()[0], rel=0.015)
     passes, products = (sum(getattr(e, name) for e in entries) for name in ("passes", "products"))
-    assert products <= 1.2 * tied * passes
+    grown = [entry for entry in entries if entry.path]
+    assert products <= 0.5 * tied * passes
+    assert sum(entry.products for entry in grown) <= 8 * tied * len(grown)
     assert passes <= 25 * len(entries)
-    # the work of the load less what is stored, to the tolerance of damage
+    # the work of the load less what is stored, but for contact that opens in a step
     spent = case.b * sum(e.dissipated["bond"] for e in entries[1:])
     begin = len(entries[0].path)
     before, after = curve[begin:-1], curve[begin + 1 :]
     work = 0.5 * (before[:, 1] * after[:, 0] - after[:, 1] * before[:, 0]).sum()
-    assert spent == pytest.approx(work, rel=1e-3)
+    assert spent == pytest.approx(work, rel=3e-4)
     reused = beam.problem.report.reused
     assert {"factors", "coarse problem", "norm"} <= set(reused)
 

@@ -41,12 +41,15 @@ _SHORTEST, _EASY = 2.0**-6, 8
 _INSIDE = (0.05, 0.95)
 _MOST_STEPS = 10_000
 
-Solve = Callable[[Vector], Vector]
+# misfit for which passes are solved that know no better one
+_UNKNOWN = 0.1
+
+Solve = Callable[[Vector, float], Vector]
 
 
 @dataclass(frozen=True)
 class PathPoint:
-    """An equilibrium on the way to the present loads, where damage has grown."""
+    """An equilibrium on the way to the present loads, from the one on where damage grows."""
 
     factor: float  # its loads over the present ones
     dissipated: float  # since the beginning [J]
@@ -83,7 +86,9 @@ def damaged(bonds: Bonds, solve: Solve, before: Vector, rtol: float, dimension: 
     bonds : Bonds
         The law at k nodes.
     solve : callable
-        Returns the jumps (k, 1 + gdim) at the present loads for a damage (k,), see `Bonds` [m].
+        Returns the jumps (k, 1 + gdim) at the present loads for a damage (k,), see `Bonds` [m]. It
+        is given the misfit of tractions, relative to the strength, beside which errors are to be
+        small, 0 for a solution.
     before : (k,) array
         The damage of the last step.
     rtol : float
@@ -139,7 +144,7 @@ class _Walk:
         self.spent, self.last = np.zeros_like(self.before), self.before
 
     def run(self) -> Damaged:
-        jump = self.solve(self.before)
+        jump = self.solve(self.before, 0.0)
         self.passes += 1
         law = self.bonds.at(jump)
         wanted = self._wanted(law, self.before, 1.0)
@@ -147,6 +152,7 @@ class _Walk:
         if law.misfit(self.before, 1.0, wanted) <= self.rtol:
             return self._ended()
         self.onset = self._onset(law)
+        self.path.append(PathPoint(self.onset, 0.0, 0))
         self.now = replace(self.now, factor=self.onset)
         longest = energy = self._row_energy()
         # load steps that damage little need no walk
@@ -231,13 +237,15 @@ class _Walk:
             self._accept(found, 1.0)
         return Damaged(self.now.damage, self.path, self.spent, self.passes)
 
-    def _at_loads(self, guess: Vector, energy: float) -> _Equilibrium | None:
+    def _at_loads(
+        self, guess: Vector, energy: float, misfit: float = _UNKNOWN
+    ) -> _Equilibrium | None:
         """Return the equilibrium at the present loads, if that is no farther than a step.
 
         None at the limit of passes.
         """
         start = self.now.reached
-        found = self._iterate(start, guess, None, _MOST_AT_LOADS)
+        found = self._iterate(start, guess, None, _MOST_AT_LOADS, misfit=misfit)
         if found is None:
             return None
         spent = self._spent(self.bonds.at(found.jump), start, found.damage)
@@ -249,7 +257,7 @@ class _Walk:
         wanted = self._wanted(law, self.now.reached, 1.0)
         is_found = law.misfit(found.damage, 1.0, wanted) <= self.rtol
         if is_found and _fails_alike(found.damage, wanted):
-            return replace(found, factor=1.0)
+            return self._at_loads(found.damage, energy, self.rtol)
         is_close = abs(found.factor - 1.0) <= _CLOSE
         return self._at_loads(found.reached, energy) if is_close else None
 
@@ -262,15 +270,19 @@ class _Walk:
         energy: float | None,
         most: int,
         patience: float = _PATIENCE,
+        misfit: float = _UNKNOWN,
     ) -> _Equilibrium | None:
         """Return the equilibrium with an energy, or at the present loads, from a damage on.
 
         None at the limit of passes, and where a damage leaves no solution. Passes at the loads that
-        are worse than the first one are given up after some.
+        are worse than the first one are given up after some. Each pass is as accurate as the misfit
+        of the last one asks for, the first one as a given misfit; at the loads the last one is the
+        solution.
         """
         damage, before, first = guess, None, 0.0
         for number in range(1, most + 1):
-            jump = self._jumps(damage)
+            is_solution = energy is None and misfit <= self.rtol
+            jump = self._jumps(damage, 0.0 if is_solution else misfit)
             if jump is None:
                 return None
             law = self.bonds.at(jump)
@@ -282,8 +294,12 @@ class _Walk:
             first = misfit if number == 1 else first
             if energy is None and number > patience and misfit > _WORSE * first:
                 return None
-            if misfit <= self.rtol and (energy is not None or _fails_alike(damage, wanted)):
+            ends = misfit <= self.rtol and (energy is not None or _fails_alike(damage, wanted))
+            if ends and (energy is not None or is_solution):
                 return _Equilibrium(damage, wanted, jump, factor, number, self.passes - 1)
+            if ends:
+                # at the loads the last pass is the solution
+                continue
             if misfit <= self.rtol:
                 # at its end damage is nearly that of a failure
                 damage, before = wanted, None
@@ -301,11 +317,11 @@ class _Walk:
             damage = np.clip(law.damage(following), start, 1.0)
         return None
 
-    def _jumps(self, damage: Vector) -> Vector | None:
+    def _jumps(self, damage: Vector, misfit: float) -> Vector | None:
         """Return the jumps; None where a damage leaves no solution."""
         self.passes += 1
         try:
-            jump = self.solve(damage)
+            jump = self.solve(damage, misfit)
         except (UnresistedMotion, NotConverged) as error:
             self.failure = error
             return None
