@@ -104,15 +104,19 @@ class _Method:
         self.steps, self.told = 0, self._set_of(problem.feasible, problem.radius)
 
     def first(self, start: Iterate) -> _State:
-        """Return the last state, or the feasible multipliers nearest to those of the start."""
+        """Return the last state, or the feasible multipliers nearest to those of a start."""
         known: _State | None = start.memory.get(Method.GRADIENTS)
         if known is not None:
             self.told = self._set_of(known.l, known.radius)
             return known
         problem = self.problem
         radius = problem.radius if start.radius is None else start.radius
-        some = problem.space.norm(start.multipliers) > 0.0
-        l = self.project(self.metric(start.multipliers if some else problem.feasible), radius)
+        if problem.space.norm(start.multipliers) > 0.0:
+            b = self.metric(start.multipliers)
+        else:
+            # of surfaces a step from no forces, after which none press across open gaps
+            b = np.where(self.glued, problem.feasible, problem.d / problem.norm)
+        l = self.project(b, radius)
         Fl = self._product(l)
         project = self.project
         return _State(l, Fl, l, Fl, 1.0, problem.norm, radius, project.motion, project)
