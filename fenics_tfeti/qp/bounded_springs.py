@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -181,9 +182,23 @@ class _Problem:
             H = (self.S.T @ self.feasible.derivative(point.v) @ self.S).tocsr()
             H = self.T.T @ self.sum_matrices(H) @ self.T
             return -np.asarray(_factor(H, weight).solve(point.gradient))
-        rows = self.S @ self.T
-        H = rows.T @ (self.feasible.derivative(point.v) @ rows)
-        return -np.linalg.solve(H + weight * np.identity(self.load.size), point.gradient)
+        H = self._normal_matrix(self.feasible.derivative(point.v))
+        H[np.diag_indices_from(H)] += weight
+        return -np.linalg.solve(H, point.gradient)
+
+    @cached_property
+    def _rows(self) -> Vector:
+        """ST of a dense S."""
+        return self.S @ self.T
+
+    def _normal_matrix(self, D: sp.csr_matrix) -> Vector:
+        """Return T'S'DST of a dense S by the springs that D is not zero for."""
+        moved = np.flatnonzero(np.diff(D.indptr))
+        rows = self._rows[moved]
+        if moved.size == D.nnz and np.all(D.data == 1.0):
+            # half of the products of a symmetric matrix
+            return rows.T @ rows
+        return rows.T @ (D[moved][:, moved] @ rows)
 
 
 def _nearest(problem: _Problem, centre: Vector, weight: float) -> Vector:

@@ -10,7 +10,7 @@ from dolfinx import fem
 
 from fenics_tfeti import Plane, RigidObstacle, Sphere
 from fenics_tfeti.fem.contact.conditions.deformed import deformed_contacts
-from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
+from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacles
 from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary
 from fenics_tfeti.io import displacement_space
 from fenics_tfeti.parallel import concatenate_ranks
@@ -26,7 +26,9 @@ def matched(cell, degree, obstacle, weight=None):
     scene = pressed_block(MPI.COMM_SELF, cell, 2)
     contact = RigidObstacle(scene.facet_tags, GROUND, obstacle)
     space = displacement_space(scene.mesh, degree)
-    return space, contact, match_obstacle(MeshBoundary.of(space, weight), "ground", contact, None)
+    boundary = MeshBoundary.of(space, weight)
+    (found,) = match_obstacles(boundary, [("ground", contact)], [None])
+    return space, contact, found
 
 
 def tilted(d):
@@ -93,7 +95,7 @@ def conditions(comm, cell, degree):
     space, d = displacement_space(scene.mesh, degree), scene.mesh.geometry.dim
     ball = Sphere((0.3,) * (d - 1) + (-2.0,), 1.9)
     contact = RigidObstacle(scene.facet_tags, GROUND, lambda x: ball(x[:d])[0])
-    found = match_obstacle(MeshBoundary.of(space), "ground", contact, None)
+    (found,) = match_obstacles(MeshBoundary.of(space), [("ground", contact)], [None])
     u = fem.Function(space)
     u.interpolate(lambda x: np.stack([0.05 * x[k] ** 2 - 0.01 for k in range(d)]))
     new = deformed_contacts([(contact, found)], u)[0]

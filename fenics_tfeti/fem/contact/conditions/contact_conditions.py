@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from fenics_tfeti.fem.contact.descriptions.contacts import ContactPair
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface
+from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, split
 from fenics_tfeti.fem.nodes import NodeMap
 from fenics_tfeti.feti.system import ContactRows, rows_of_terms, sum_by_row, terms_of_slaves
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
@@ -174,6 +174,19 @@ class Conditions:
 
 
 @dataclass(frozen=True)
+class ObstacleConditions:
+    """The k conditions of surfaces at obstacles, undeformed or deformed, of this rank."""
+
+    terms: Terms
+    normal: Vector  # (k, gdim): unit normals into the obstacle
+    gap: Vector  # (k,): distances from the obstacle, of degree 2 the means around the nodes [m]
+    area: Vector  # (k,) [m^2 or m]
+    coverage: Vector  # (k,): ones
+    covered: Mask  # (f,): facets that are opposite the obstacle
+    shares: None = None
+
+
+@dataclass(frozen=True)
 class ContactConditions:
     """Conditions sum_k w_k u(node_k)'n <= gap times the scale, at slave nodes of this rank.
 
@@ -291,6 +304,42 @@ def mean_traction(
         )
     traction = columns[:, :-1] / columns[:, -1:]
     return (traction if shares is None else S @ traction).reshape(force.shape)
+
+
+def separated(
+    boundary: MeshBoundary, slave: Surface, found: Conditions | ObstacleConditions, gap: Vector
+) -> list[dict[str, Any]]:
+    """Return the conditions of each contact, with gaps (k,), in the mesh's numbers. Collective."""
+    copies, count = slave.boundary.nodes, len(slave.names)
+    numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
+    terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
+    contact = slave.contact[slave.rows_of(found.terms.slave)]
+    ends = np.searchsorted(contact, np.arange(count + 1))
+    shares: list[PressureShares | None] = [None] * count
+    if found.shares is not None:
+        of_mesh = PressureShares(
+            partial(_shares_of_mesh, found.shares, copies, numbers, boundary.nodes.total)
+        )
+        shares = [PressureShares(partial(of_mesh.rows, *cut)) for cut in pairwise(ends)]
+    columns = {
+        "terms": terms.split(ends),
+        "normal": split(contact, found.normal, count),
+        "gap": split(contact, gap, count),
+        "area": split(contact, found.area, count),
+        "covered": split(slave.facet_contact, found.covered, count),
+        "coverage": split(contact, found.coverage, count),
+        "shares": shares,
+    }
+    return [dict(zip(columns, part, strict=True)) for part in zip(*columns.values(), strict=True)]
+
+
+def _shares_of_mesh(
+    shares: PressureShares, copies: NodeMap, numbers: Numbers, total: int
+) -> sp.csr_matrix:
+    """Return the shares of copies of nodes with the mesh's numbers as columns. Collective."""
+    S = shares.matrix
+    columns = copies.values_at(numbers, S.indices)
+    return sp.csr_matrix((S.data, columns, S.indptr), (S.shape[0], total))
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from dolfinx.fem import Function
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
-from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacle
+from fenics_tfeti.fem.contact.conditions.obstacle import conditions_at_obstacles
 from fenics_tfeti.fem.contact.conditions.surface_pairs import MortarPairs
 from fenics_tfeti.fem.contact.descriptions.contacts import Contact, ContactPair, RigidObstacle
 from fenics_tfeti.fem.contact.surfaces.normals import without_axial_tilt
@@ -204,8 +204,7 @@ def _deformed(
         surface = surface.on(boundary, user_normal)
     if master is None:
         assert isinstance(contact, RigidObstacle)
-        found = conditions_at_obstacle(surface, contact.obstacle)
-        new = replace(conditions, **vars(found) | {"coverage": np.ones_like(found.gap)})
+        new = replace(conditions, **vars(conditions_at_obstacles(surface, [contact.obstacle])))
         return new, np.maximum(-new.gap, 0.0)
     if user_normal is None:
         surface = surface.with_normals_of(conditions.covered)

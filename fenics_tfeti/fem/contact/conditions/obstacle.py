@@ -5,15 +5,21 @@ On the undeformed surface, and on the deformed one for exact non-penetration.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from mpi4py import MPI
 
 import numpy as np
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions, Terms
+from fenics_tfeti.fem.contact.conditions.contact_conditions import (
+    ContactConditions,
+    ObstacleConditions,
+    Terms,
+    separated,
+)
 from fenics_tfeti.fem.contact.conditions.mortars import one_sided_conditions
 from fenics_tfeti.fem.contact.conditions.summary import matching_summaries
 from fenics_tfeti.fem.contact.descriptions.contacts import RigidObstacle
@@ -25,89 +31,106 @@ from fenics_tfeti.fem.contact.descriptions.shapes import (
     Sphere,
 )
 from fenics_tfeti.fem.contact.descriptions.surfaces import surface_tags
-from fenics_tfeti.fem.contact.surfaces.tagged import MeshBoundary, Surface, tagged_surface
+from fenics_tfeti.fem.contact.surfaces.tagged import (
+    MeshBoundary,
+    Surface,
+    joined_surfaces,
+    tagged_surfaces,
+)
 from fenics_tfeti.fem.geometry.vectors import angles_between, tangential_part, unit
 from fenics_tfeti.fem.messages import first_wrong
 from fenics_tfeti.fem.tolerances import NO_OBSTACLE, NOT_GRADIENT, UNIT_LENGTH
 from fenics_tfeti.fem.user_data import evaluate
 from fenics_tfeti.parallel import raise_collectively, warn_on_first_rank
-from fenics_tfeti.typing import Mask, Vector
+from fenics_tfeti.typing import Numbers, Vector
 
 # step of the differences by which gradients of gaps are found, relative to the facets' edges
 _STEP = 1e-4
 
 
-@dataclass(frozen=True)
-class ObstacleConditions:
-    """The k conditions of a surface at an obstacle, undeformed or deformed, of this rank."""
-
-    terms: Terms
-    normal: Vector  # (k, gdim): unit normals into the obstacle
-    gap: Vector  # (k,): distances from the obstacle, of degree 2 the means around the nodes [m]
-    area: Vector  # (k,) [m^2 or m]
-    covered: Mask  # (f,): facets that are opposite the obstacle
-
-
-def match_obstacle(
+def match_obstacles(
     boundary: MeshBoundary,
-    name: str,
-    contact: RigidObstacle,
-    earlier: ContactConditions | None,
+    contacts: Sequence[tuple[str, RigidObstacle]],
+    earlier: Sequence[ContactConditions | None],
     deformed: MeshBoundary | None = None,
-) -> ContactConditions:
-    """Find the slave's nodes, the obstacle's normals and the gaps, this rank's part. Collective.
+) -> list[ContactConditions]:
+    """Find the slaves' nodes, the obstacles' normals and the gaps, this rank's part. Collective.
 
-    The surface of an earlier result is used again. With a deformed boundary the obstacle is
-    evaluated on the surface there alone.
+    The contacts have names. The surfaces of earlier results are used again. With a deformed
+    boundary the obstacles are evaluated on the surfaces there alone.
     """
-    tags, (tag,) = contact.facet_tags, surface_tags(contact)
-    slave = (
-        # a contact without name is called by its number, which may be another one
-        replace(earlier.surface, names=[name])
-        if earlier
-        else tagged_surface(boundary, tags, tag, name, "slave")
-    )
-    surface = slave
+    if not contacts:
+        return []
+    slaves = _slaves(boundary, contacts, earlier)
+    slave = surface = joined_surfaces(boundary, slaves)
     if deformed is not None:
-        surface = slave.on(deformed).with_present_normals()
-    found = conditions_at_obstacle(surface, contact.obstacle)
-    if earlier is None:
-        _warn_of_normals(slave, contact.obstacle, deformed or boundary)
+        surface = slave.on(slave.boundary.moved_as(deformed)).with_present_normals()
+    obstacles = [contact.obstacle for _, contact in contacts]
+    found = conditions_at_obstacles(surface, obstacles)
+    for single, obstacle, last in zip(slaves, obstacles, earlier, strict=True):
+        if last is None:
+            _warn_of_normals(single, obstacle, deformed or boundary)
     rows = slave.rows_of(found.terms.slave)
     of_rows, angle = slave.contact[rows], angles_between(surface.normal[rows], found.normal)
     gap = slave.without_rounding(found.gap, of_rows)
-    (summary,) = matching_summaries(
-        slave.comm, [name], "obstacle", of_rows, gap, angle, slave.contact, area=found.area
+    summaries = matching_summaries(
+        slave.comm, slave.names, "obstacle", of_rows, gap, angle, slave.contact, area=found.area
     )
-    coverage = np.ones_like(gap)
-    return ContactConditions(
-        found.terms, found.normal, gap, found.area, summary, slave, found.covered, coverage
-    )
+    parts = separated(boundary, slave, found, gap)
+    return [
+        ContactConditions(summary=summary, surface=single, **part)
+        for summary, single, part in zip(summaries, slaves, parts, strict=True)
+    ]
 
 
-def conditions_at_obstacle(surface: Surface, obstacle: Obstacle) -> ObstacleConditions:
-    """Return the conditions of a surface with its normals, deformed or not. Collective.
+def _slaves(
+    boundary: MeshBoundary,
+    contacts: Sequence[tuple[str, RigidObstacle]],
+    earlier: Sequence[ContactConditions | None],
+) -> list[Surface]:
+    """Return the surface of each contact, that of an earlier result if there is one. Collective."""
+    tagged = [
+        (contact.facet_tags, *surface_tags(contact), name)
+        for (name, contact), last in zip(contacts, earlier, strict=True)
+        if last is None
+    ]
+    new = iter(tagged_surfaces(boundary, tagged, "slave"))
+    return [
+        # a contact without name is called by its number, which may be another one
+        next(new) if last is None else replace(last.surface, names=[name])
+        for (name, _), last in zip(contacts, earlier, strict=True)
+    ]
 
-    Those of degree 2 are means over the facets that are opposite the obstacle.
+
+def conditions_at_obstacles(surface: Surface, obstacles: Sequence[Obstacle]) -> ObstacleConditions:
+    """Return the conditions of surfaces with their normals, deformed or not. Collective.
+
+    There is an obstacle for each contact of the surface. Conditions of degree 2 are means over the
+    facets that are opposite it.
     """
     places, nodes = surface.coordinates, surface.boundary.nodes
     if surface.boundary.degree == 1:
-        gap, outward = gap_and_normal(surface, obstacle, places, surface.normal)
+        gap, outward = gaps_and_normals(surface, obstacles, places, surface.normal, surface.contact)
         terms, covered = Terms.of_nodes(surface.nodes), surface.whole
-        return ObstacleConditions(terms, -outward, gap, surface.areas(covered), covered)
+        area, coverage = surface.areas(covered), np.ones_like(gap)
+        return ObstacleConditions(terms, -outward, gap, area, coverage, covered)
     facets = surface.oriented_part()
     normals = unit(facets.from_corners(facets.normal))
-    nodal, _ = gap_and_normal(surface, obstacle, _padded(facets.points), normals)
+    contact = facets.facets.contact_of(np.arange(len(facets.nodes)))
+    nodal, _ = gaps_and_normals(surface, obstacles, _padded(facets.points), normals, contact)
     covered = np.isfinite(nodal)[facets.facets.nodes].all(axis=1)
     terms = one_sided_conditions(surface, facets, covered)
     rows = surface.rows_of(terms.slave)
     if facets.weight is not None:
         surface.check_weight(terms.scale, rows)
-    _, outward = gap_and_normal(surface, obstacle, places[rows], surface.normal[rows])
+    _, outward = gaps_and_normals(
+        surface, obstacles, places[rows], surface.normal[rows], surface.contact[rows]
+    )
     # the nodes of a condition may be on facets of several ranks
     at_owners = nodes.reduce_at_owners(facets.nodes, nodal, np.maximum)
     gap = terms.means(nodes.values_at(at_owners, terms.nodes)[:, None])[:, 0]
-    return ObstacleConditions(terms, -outward, gap, terms.scale, covered)
+    coverage = np.ones_like(gap)
+    return ObstacleConditions(terms, -outward, gap, terms.scale, coverage, covered)
 
 
 def _warn_of_normals(slave: Surface, obstacle: Obstacle, boundary: MeshBoundary) -> None:
@@ -162,24 +185,42 @@ def gap_and_normal(
     The normal is the body's (k, gdim). Where there is no obstacle, the distance is infinite and the
     obstacle's normal the opposite of the body's.
     """
-    comm, name, gdim = surface.comm, surface.names[0], normal.shape[1]
+    contact = np.zeros(len(points), dtype=np.int64)
+    return gaps_and_normals(surface, [obstacle], points, normal, contact)
+
+
+def gaps_and_normals(
+    surface: Surface,
+    obstacles: Sequence[Obstacle],
+    points: Vector,
+    normal: Vector,
+    contact: Numbers,
+) -> tuple[Vector, Vector]:
+    """Return the same for points of several contacts (k,), each with its obstacle. Collective."""
+    comm, names, gdim = surface.comm, surface.names, normal.shape[1]
+    gap, outward = np.zeros(len(points)), np.zeros_like(normal)
+    order = np.argsort(contact, kind="stable")
+    ends = np.searchsorted(contact[order], np.arange(1, len(obstacles)))
     with raise_collectively(comm):
-        gap, outward = _evaluate_obstacle(obstacle, points, normal, name)
+        for obstacle, name, rows in zip(obstacles, names, np.split(order, ends), strict=True):
+            gap[rows], outward[rows] = _evaluate_obstacle(
+                obstacle, points[rows], normal[rows], name
+            )
     nothing = gap >= NO_OBSTACLE
     gap = np.where(nothing, np.inf, gap)
     outward = np.where(nothing[:, None], -normal, outward)
-    if bad := first_wrong(
-        comm, ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1)), points[:, :gdim]
-    ):
+    wrong = ~((np.isfinite(gap) | nothing) & np.isfinite(outward).all(axis=1))
+    if bad := first_wrong(comm, wrong, points[:, :gdim], contact, names):
         raise InputError(
-            f"{name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
+            f"{bad.name}: the obstacle's gap is NaN or -inf, or its normal is NaN or infinite, at "
             f"{bad.number} points, the first at {bad.place}. Only the gap may be +inf, where there "
             "is no obstacle"
         )
     length = np.linalg.norm(outward, axis=1)
-    if bad := first_wrong(comm, np.abs(length - 1.0) > UNIT_LENGTH, points[:, :gdim]):
+    wrong = np.abs(length - 1.0) > UNIT_LENGTH
+    if bad := first_wrong(comm, wrong, points[:, :gdim], contact, names):
         raise InputError(
-            f"{name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
+            f"{bad.name}: the obstacle's normal is not a unit vector in {gdim} dimensions at "
             f"{bad.number} points, the first at {bad.place}. Divide it by its length"
         )
     return gap, outward / length[:, None]

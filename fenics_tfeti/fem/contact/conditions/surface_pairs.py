@@ -8,21 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import pairwise, product
+from itertools import product
 from typing import Any, TypeAlias
 
 from mpi4py import MPI
 
 import numpy as np
-import scipy.sparse as sp
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem.contact.conditions.contact_conditions import (
     Conditions,
     ContactConditions,
     JoinedPairs,
-    PressureShares,
+    separated,
 )
 from fenics_tfeti.fem.contact.conditions.mortars import NodesWithoutConditions, mortar_conditions
 from fenics_tfeti.fem.contact.conditions.node_pairs import match_nodes, meshes_match, shared_nodes
@@ -45,7 +43,6 @@ from fenics_tfeti.fem.contact.surfaces.tagged import (
 from fenics_tfeti.fem.geometry.integrals import integrate
 from fenics_tfeti.fem.geometry.normals import facet_normals
 from fenics_tfeti.fem.geometry.vectors import unit
-from fenics_tfeti.fem.nodes import ContactNodes, NodeMap
 from fenics_tfeti.fem.user_data import scalars_at
 from fenics_tfeti.parallel import concatenate_ranks, largest_of_groups, raise_collectively
 from fenics_tfeti.typing import Indices, Mask, Numbers, Vector
@@ -204,9 +201,8 @@ def _joined_boundary(
     The facets (f, t) are those of the contacts' slaves, then those of the masters, of these sizes.
     """
     count = len(sizes) // 2
-    nodes = ContactNodes(boundary.nodes, facets, np.repeat(np.arange(2 * count) % count, sizes))
-    joined = replace(boundary, nodes=nodes, coordinates=nodes.copied(boundary.coordinates))
-    return joined, np.split(nodes.facet_nodes, [sum(sizes[:count])])
+    joined, nodes = boundary.joined(facets, np.repeat(np.arange(2 * count) % count, sizes))
+    return joined, np.split(nodes, [sum(sizes[:count])])
 
 
 @dataclass(frozen=True)
@@ -251,12 +247,7 @@ class MortarPairs:
         Nodes that had conditions before keep them longer than others. The user's normals (k, gdim)
         are those at the nodes of each slave.
         """
-        nodes, names = self.pairs.slave.boundary.nodes, self.pairs.slave.names
-        there = replace(
-            self.pairs.slave.boundary,
-            coordinates=nodes.copied(deformed.coordinates),
-            displacement=deformed.displacement,
-        )
+        names, there = self.pairs.slave.names, self.pairs.slave.boundary.moved_as(deformed)
         slave, master = (side.on(there) for side in (self.pairs.slave, self.pairs.master))
         if normals is None:
             slave = slave.with_present_normals()
@@ -271,7 +262,7 @@ class MortarPairs:
         found = mortar_conditions(slave, near, self.without, known, normals is not None)
         check_weight(found, self.pairs.slave)
         gap = np.sum(found.gap * found.normal, axis=1)
-        parts = _separated(self.boundary, self.pairs.slave, found, gap)
+        parts = separated(self.boundary, self.pairs.slave, found, gap)
         return [replace(part, **new) for part, new in zip(before, parts, strict=True)]
 
 
@@ -349,7 +340,7 @@ def _conditions_of_parts(
     if pairs.contacts[0].normal is None:
         axes = axes_of_cylinders(slave, found.terms.slave, found.normal)
     columns = zip(
-        _separated(boundary, slave, found, gap),
+        separated(boundary, slave, found, gap),
         summaries,
         slave.separated(boundary),
         pairs.master.separated(boundary),
@@ -368,42 +359,6 @@ def _conditions_of_parts(
         ).across(of_nodes)
         for part, summary, surface, master_surface, of_surface, of_nodes in columns
     ]
-
-
-def _separated(
-    boundary: MeshBoundary, slave: Surface, found: Conditions, gap: Vector
-) -> list[dict[str, Any]]:
-    """Return the conditions of each contact, with gaps (k,), in the mesh's numbers. Collective."""
-    copies, count = slave.boundary.nodes, len(slave.names)
-    numbers = copies.copied(boundary.nodes.first + np.arange(boundary.nodes.size))
-    terms = replace(found.terms, nodes=copies.values_at(numbers, found.terms.nodes))
-    contact = slave.contact[slave.rows_of(found.terms.slave)]
-    ends = np.searchsorted(contact, np.arange(count + 1))
-    shares: list[PressureShares | None] = [None] * count
-    if found.shares is not None:
-        of_mesh = PressureShares(
-            partial(_shares_of_mesh, found.shares, copies, numbers, boundary.nodes.total)
-        )
-        shares = [PressureShares(partial(of_mesh.rows, *cut)) for cut in pairwise(ends)]
-    columns = {
-        "terms": terms.split(ends),
-        "normal": split(contact, found.normal, count),
-        "gap": split(contact, gap, count),
-        "area": split(contact, found.area, count),
-        "covered": split(slave.facet_contact, found.covered, count),
-        "coverage": split(contact, found.coverage, count),
-        "shares": shares,
-    }
-    return [dict(zip(columns, part, strict=True)) for part in zip(*columns.values(), strict=True)]
-
-
-def _shares_of_mesh(
-    shares: PressureShares, copies: NodeMap, numbers: Numbers, total: int
-) -> sp.csr_matrix:
-    """Return the shares of copies of nodes with the mesh's numbers as columns. Collective."""
-    S = shares.matrix
-    columns = copies.values_at(numbers, S.indices)
-    return sp.csr_matrix((S.data, columns, S.indptr), (S.shape[0], total))
 
 
 def initial_gaps(

@@ -20,7 +20,7 @@ from fenics_tfeti.fem.contact.conditions.checks import (
     check_opposite,
 )
 from fenics_tfeti.fem.contact.conditions.contact_conditions import ContactConditions
-from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacle
+from fenics_tfeti.fem.contact.conditions.obstacle import match_obstacles
 from fenics_tfeti.fem.contact.conditions.summary import warn_of_deviation
 from fenics_tfeti.fem.contact.conditions.surface_pairs import NamedPair, match_pairs, user_gaps
 from fenics_tfeti.fem.contact.conditions.ties import TiedConditions, rows_of_tie
@@ -399,10 +399,14 @@ def match_parts(
             found.setdefault(k, []).append(_refreshed(pairs[k], conditions))
     pairs = {k: pair for k, pair in pairs.items() if k not in found}
     found |= dict(zip(pairs, match_pairs(boundary, [*pairs.values()], fixed), strict=True))
-    for k, (name, contact) in enumerate(zip(names, contacts, strict=True)):
-        if isinstance(contact, RigidObstacle):
-            last = next(iter(earlier.get(id(contact), [])), None)
-            found[k] = [match_obstacle(boundary, name, contact, last, deformed)]
+    obstacles = {
+        k: (name, contact)
+        for k, (name, contact) in enumerate(zip(names, contacts, strict=True))
+        if isinstance(contact, RigidObstacle)
+    }
+    last = [next(iter(earlier.get(id(contact), [])), None) for _, contact in obstacles.values()]
+    matched = match_obstacles(boundary, [*obstacles.values()], last, deformed)
+    found |= {k: [conditions] for k, conditions in zip(obstacles, matched, strict=True)}
     return [found[k] for k in range(len(contacts))]
 
 

@@ -77,6 +77,23 @@ class MeshBoundary:
         coordinates[vertex_nodes(space)[cells]] = vertices
         return MeshBoundary(space, NodeMap(space), coordinates, exterior, at_vertices)
 
+    def joined(self, facet_nodes: Indices, contact: Numbers) -> tuple[MeshBoundary, Indices]:
+        """Return it with the nodes of each contact, and the facets with their numbers. Collective.
+
+        The facets (f, t) of the contacts (f,) have local nodes.
+        """
+        nodes = ContactNodes(self.nodes, facet_nodes, contact)
+        joined = replace(self, nodes=nodes, coordinates=nodes.copied(self.coordinates))
+        return joined, nodes.facet_nodes
+
+    def moved_as(self, deformed: MeshBoundary) -> MeshBoundary:
+        """Return it with its nodes where those that they are copies of are on a deformed one."""
+        return replace(
+            self,
+            coordinates=self.nodes.copied(deformed.coordinates),
+            displacement=deformed.displacement,
+        )
+
     def deformed(self, displacement: Function) -> MeshBoundary:
         """Return the boundary with displaced nodes; ghosts of the displacement are up to date."""
         moves = self.nodes.values(displacement)
@@ -419,6 +436,14 @@ class SurfaceNodes:
         return SurfaceNodes(*(column[kept] for column in vars(self).values()))
 
 
+def joined_surfaces(boundary: MeshBoundary, surfaces: Sequence[Surface]) -> Surface:
+    """Return the surfaces of contacts, of the nodes of a boundary, as one. Collective."""
+    sizes = [len(surface.facet_nodes) for surface in surfaces]
+    facets = np.concatenate([surface.facet_nodes for surface in surfaces])
+    joined, nodes = boundary.joined(facets, np.repeat(np.arange(len(sizes)), sizes))
+    return Surface.joined(joined, surfaces, nodes)
+
+
 def gather_surfaces(surfaces: Sequence[Surface]) -> list[SurfaceFacets]:
     """Return the facets of all ranks of some surfaces in one message, as `gathered`. Collective."""
     if not surfaces:
@@ -439,6 +464,21 @@ def tagged_surface(
     label = f"{role} of {name}" if role else name
     (facets,) = tagged_facets(boundary, [(facet_tags, tag, label)])
     return surface_of(boundary, oriented_facets(boundary.space, facets), [name], role, user_normal)
+
+
+def tagged_surfaces(
+    boundary: MeshBoundary, tagged: Sequence[tuple[Any, Tag, str]], role: str
+) -> list[Surface]:
+    """Find the nodes of a surface for each (meshtags, tag, contact), all at once. Collective."""
+    if not tagged:
+        return []
+    names = [name for *_, name in tagged]
+    facets = tagged_facets(
+        boundary, [(tags, tag, f"{role} of {name}") for tags, tag, name in tagged]
+    )
+    contact = np.repeat(np.arange(len(facets)), [part.size for part in facets])
+    nodes = oriented_facets(boundary.space, np.concatenate(facets))
+    return surface_of(*boundary.joined(nodes, contact), names, role).separated(boundary)
 
 
 def tagged_facets(
