@@ -632,7 +632,9 @@ class ContactProblem(SteppedProblem[ContactReport]):
         options: Options | None = None,
     ) -> TornSolution:
         """Solve with conditions, and store the results."""
-        system = self._torn.system(self._accepted.origin, contact_set)
+        system = self.system
+        if contact_set is not self._torn.undeformed:
+            system = self._torn.system(self._accepted.origin, contact_set)
         guess = self._guess(coarse, contact_set)
         options = options or self.options.solver
         self._solver = TornSolver(system, options, self._timer, self._solver, guess)

@@ -40,7 +40,7 @@ def warn_of_locking(forms: PreparedForms, bodies: Bodies) -> None:
     matrices = forms.cell_matrices(cells)
     # NaN is told of when all cells are assembled
     matrices = np.where(np.isfinite(matrices).all(axis=(1, 2), keepdims=True), matrices, 0.0)
-    ratios = [locking_ratio(type_, x, K) for x, K in zip(corners, matrices, strict=True)]
+    ratios = locking_ratios(type_, corners, matrices).tolist()
     largest = max(zip(ratios, bodies.of_cell[cells].tolist(), strict=True), default=(0.0, 0))
     ratio, body = max(domain.comm.allgather(largest))
     if ratio <= _NEARLY_INCOMPRESSIBLE:
@@ -73,22 +73,24 @@ def _samples(forms: PreparedForms, bodies: Bodies) -> Indices:
     return np.unique(np.concatenate([np.zeros(0), *selected])).astype(np.int32)
 
 
-def locking_ratio(type_: ReferenceCell, corners: Vector, K: Vector) -> float:
-    """Return Poisson's ratio of a cell's material, or 0 where the cell does not lock.
+def locking_ratios(type_: ReferenceCell, corners: Vector, K: Vector) -> Vector:
+    """Return Poisson's ratio (c,) of each cell's material, or 0 where the cell does not lock.
 
-    `corners` (v, gdim) are its vertices [m], K (v gdim, v gdim) its stiffness matrix of degree 1
-    [N/m].
+    `corners` (c, v, gdim) are the vertices [m], K (c, v gdim, v gdim) the stiffness matrices of
+    degree 1 [N/m].
     """
-    d, x = type_.dim, corners - corners.mean(axis=0)
-    linear = np.kron(x, np.eye(d))
-    moduli, gradients = np.linalg.eigh(linear.T @ K @ linear)
+    d, x = type_.dim, corners - corners.mean(axis=1, keepdims=True)
+    # the linear displacements x_j e_i
+    linear = np.einsum("cvj,ki->cvkji", x, np.eye(d)).reshape(len(K), -1, d * d)
+    moduli, gradients = np.linalg.eigh(linear.transpose(0, 2, 1) @ K @ linear)
     dilatation = np.eye(d).ravel() / np.sqrt(d)
-    if moduli[-2] <= 0.0 or abs(gradients[:, -1] @ dilatation) < _DILATATION:
-        return 0.0
-    # of the moduli d lambda + 2 mu and 2 mu, times the volume
-    lame = 2.0 / d * (moduli[-1] / moduli[-2] - 1.0)
-    poisson = float(0.5 * lame / (1.0 + lame))
+    locks = moduli[:, -2] > 0.0
+    locks &= np.abs(dilatation @ gradients[:, :, -1:])[:, 0] >= _DILATATION
     if not type_.is_simplex:
-        second, first = np.linalg.eigvalsh(K)[-2:]
-        return poisson if second >= _SECOND * first else 0.0
-    return poisson
+        second, first = np.linalg.eigvalsh(K[locks])[:, -2:].T
+        locks[locks] = second >= _SECOND * first
+    # of the moduli d lambda + 2 mu and 2 mu, times the volume
+    lame = 2.0 / d * (moduli[locks, -1] / moduli[locks, -2] - 1.0)
+    ratios = np.zeros(len(K))
+    ratios[locks] = 0.5 * lame / (1.0 + lame)
+    return ratios

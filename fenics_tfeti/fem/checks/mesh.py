@@ -34,7 +34,7 @@ from fenics_tfeti.fem.topology import (
     global_numbers,
 )
 from fenics_tfeti.parallel import Directory, concatenate_ranks, send_rows
-from fenics_tfeti.typing import Array, Mask, Numbers, Vector
+from fenics_tfeti.typing import Array, Indices, Mask, Numbers, Vector
 
 
 @dataclass(frozen=True)
@@ -83,6 +83,7 @@ def _surface_nodes(cells: CellGeometry, contacts: Sequence[Contact | Tie]) -> _S
 def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mask, Mask]:
     """Mark the nodes on slave and on master surfaces of pairs and bolts; tags are checked later."""
     marks = np.zeros((2, len(domain.geometry.x)), dtype=bool)
+    facets: list[list[Indices]] = [[np.zeros(0, dtype=np.int32)] for _ in marks]
     dim = domain.topology.dim - 1
     for contact in contacts:
         if isinstance(contact, SelfContact) and contact.facet_tags is None:
@@ -92,8 +93,10 @@ def _contact_nodes(domain: Mesh, contacts: Sequence[Contact | Tie]) -> tuple[Mas
         tags = contact.facet_tags
         if tags is not None and _compat.tags_are_on(tags, domain) and tags.dim == dim:
             of_sides = surface_tags(contact)
-            for mark, tag in zip(marks, (of_sides[0], of_sides[-1]), strict=True):
-                mark[facet_corners(domain, *cells_of_facets(domain, find_tagged(tags, tag)))] = True
+            for side, tag in zip(facets, (of_sides[0], of_sides[-1]), strict=True):
+                side.append(find_tagged(tags, tag))
+    for mark, side in zip(marks, facets, strict=True):
+        mark[facet_corners(domain, *cells_of_facets(domain, np.concatenate(side)))] = True
     return marks[0], marks[1]
 
 

@@ -95,6 +95,8 @@ class FoundContact:
     @property
     def gap(self) -> Vector:
         """Gaps of the undeformed surfaces (k,) [m]; infinite at nodes without condition there."""
+        if self.conditions is self.undeformed:
+            return self.undeformed.gap
         place = positions(self.undeformed.slave, self.conditions.slave)
         return np.append(self.undeformed.gap, np.inf)[place]
 

@@ -51,6 +51,7 @@ class ReferenceCell:
         """Return the number of nodes of degree 1 or 2."""
         return len(lagrange_points(self.name, degree))
 
+    @cache  # noqa: B019 - cell types are few, and kept
     def facet_nodes(self, degree: int) -> tuple[Vertices, ...]:
         """Return the nodes of each facet for degree 1 or 2, as numbers of the cell's nodes.
 

@@ -95,8 +95,14 @@ def _resist_all(comm: MPI.Intracomm, B: sp.csr_matrix, supports: Vector, limit: 
     bodies, modes, _ = supports.shape
     body, blocks = np.arange(bodies), gram.reshape(bodies, modes, bodies, modes)
     blocks[body, :, body] += np.swapaxes(supports, 1, 2) @ supports
-    values = np.linalg.eigvalsh(gram)
-    return bool(values.size and values[0] > limit**2 + rounding(values[-1], MANY))
+    # a sum of absolute values is at least the largest eigenvalue
+    least = limit**2 + rounding(float(np.abs(gram).sum(axis=0).max(initial=0.0)), MANY)
+    gram[np.diag_indices_from(gram)] -= least
+    try:
+        np.linalg.cholesky(gram)
+    except np.linalg.LinAlgError:
+        return False
+    return bool(gram.size)
 
 
 def _of_single_bodies(

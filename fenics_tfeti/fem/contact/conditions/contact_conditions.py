@@ -43,6 +43,16 @@ class Terms:
         nodes = np.stack(ends, axis=1).ravel()
         return Terms(offsets, nodes, weights, np.ones(slave.size, dtype=np.int64))
 
+    @staticmethod
+    def joined(parts: Sequence[Terms]) -> Terms:
+        """Return the rows of several parts, one after the other."""
+        lengths = [np.diff(part.offsets) for part in parts]
+        nodes, weights, slaves = (
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("nodes", "weights", "slaves")
+        )
+        return Terms(np.append(0, np.concatenate(lengths).cumsum()), nodes, weights, slaves)
+
     def split(self, ends: Numbers) -> list[Terms]:
         """Return consecutive rows, from each of the ends up to the next."""
         parts = []
@@ -88,18 +98,20 @@ class Terms:
     @cached_property
     def master(self) -> Numbers:
         """The master node with the largest weight, the lowest of equal ones; -1 for none, (k,)."""
+        has_master = np.diff(self.offsets) > self.slaves
+        if not has_master.any():
+            return np.full(has_master.size, -1)
         order = np.lexsort((self.nodes, self.weights, self.row))
-        nodes = self.nodes[order[self.offsets[:-1]]]
-        return np.where(np.diff(self.offsets) > self.slaves, nodes, -1)
+        return np.where(has_master, self.nodes[order[self.offsets[:-1]]], -1)
 
     def means(self, values: Vector) -> Vector:
         """Return the weighted sums (k, q) of values (t, q) at the terms' nodes, over the scale."""
         return self._sums(self.weights[:, None] * values) / self.scale[:, None]
 
     def rows(
-        self, normal: Vector, gap: Vector, contact: int, area: Vector | None = None
+        self, normal: Vector, gap: Vector, contact: int | Numbers, area: Vector | None = None
     ) -> ContactRows:
-        """Return conditions of a contact along normals, with gaps of mean displacements [m]."""
+        """Return conditions along normals, with gaps of mean displacements [m], of contacts."""
         return ContactRows(
             self.offsets,
             self.nodes,
@@ -380,12 +392,15 @@ def contact_rows(
     all_conditions: Sequence[ContactConditions], gdim: int, numbers: Sequence[int] | None = None
 ) -> ContactRows:
     """Return the conditions of all contacts, by default numbered in their order, one by one."""
+    if not all_conditions:
+        return ContactRows.none(gdim)
     contacts = range(len(all_conditions)) if numbers is None else numbers
-    rows = [
-        p.terms.rows(p.normal, p.gap, k, p.area)
-        for p, k in zip(all_conditions, contacts, strict=True)
-    ]
-    return ContactRows.concatenate(rows or [ContactRows.none(gdim)])
+    normal, gap, area = (
+        np.concatenate([getattr(p, name) for p in all_conditions])
+        for name in ("normal", "gap", "area")
+    )
+    contact = np.repeat(contacts, [p.gap.size for p in all_conditions])
+    return Terms.joined([p.terms for p in all_conditions]).rows(normal, gap, contact, area)
 
 
 def row_values(
