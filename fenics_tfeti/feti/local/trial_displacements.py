@@ -7,6 +7,7 @@ bending. So their energies are those of the Schur complement, too, of their valu
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -73,10 +74,16 @@ def bending(coordinates: Vector) -> Vector:
     symmetric in i and j, with T_iki = 0, are sums of such products. Rows (k, d * nodes), 15 in
     three dimensions and 4 in two.
     """
-    x = coordinates - coordinates.mean(axis=0)
-    gdim = x.shape[1]
-    units, rows = np.identity(gdim), []
-    pairs = list(combinations_with_replacement(range(gdim), 2))
+    x = (coordinates - coordinates.mean(axis=0)).T
+    i, j, factors = _quadratic(len(x))
+    rows = np.tensordot(factors, x[i] * x[j], axes=(0, 0))
+    return rows.swapaxes(1, 2).reshape(len(rows), -1)
+
+
+@cache
+def _quadratic(gdim: int) -> tuple[Numbers, Numbers, Vector]:
+    """Return i and j (q,) of products x_i x_j, and their factors (q, k, gdim) in the bendings."""
+    units, pairs = np.identity(gdim), list(combinations_with_replacement(range(gdim), 2))
     tensors = [
         np.einsum("i,j,k->ijk", units[i], units[j], units[k])
         + np.einsum("i,j,k->ijk", units[j], units[i], units[k])
@@ -84,9 +91,8 @@ def bending(coordinates: Vector) -> Vector:
         for k in range(gdim)
     ]
     traces = np.array([np.einsum("iki->k", T) for T in tensors])
-    for factors in scipy.linalg.null_space(traces.T).T:
-        T = np.tensordot(factors, np.array(tensors), 1)
-        products = np.einsum("ijk,ni,nj->nk", T, x, x)
-        u = 0.5 * products - np.einsum("ijk,ni,nk->nj", T, x, x)
-        rows.append(u.ravel())
-    return np.array(rows)
+    T = np.tensordot(scipy.linalg.null_space(traces.T).T, np.array(tensors), 1)
+    factors = 0.5 * T - T.swapaxes(2, 3)
+    i, j = np.transpose(pairs)
+    both = factors[:, i, j] + np.where(i == j, 0.0, 1.0)[:, None] * factors[:, j, i]
+    return i, j, both.swapaxes(0, 1)
