@@ -55,6 +55,7 @@ def split_into_subdomains(
         if count <= 1:
             subdomains.append(cells)
             continue
+        count = round(body.nodes.size / _own_nodes(unknowns / block, space.mesh.topology.dim))
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
@@ -63,6 +64,11 @@ def split_into_subdomains(
                 cuts[body.shape] = label
         subdomains += [cells[group] for group in groups(label)]
     return subdomains
+
+
+def _own_nodes(nodes: float, dim: int) -> float:
+    """Return how many nodes are a cube's alone of those that it has, all on half of its sides."""
+    return max(nodes ** (1.0 / dim) - 1.0, 1.0) ** dim
 
 
 def _cut(
