@@ -30,7 +30,8 @@ class Unavailable(Exception):
 def pointer(array: Array) -> ctypes.c_void_p:
     """Return the address of an array, in C's order, for functions in C."""
     assert array.flags.c_contiguous
-    return ctypes.c_void_p(array.ctypes.data)
+    # faster than `array.ctypes`
+    return ctypes.c_void_p(array.__array_interface__["data"][0])
 
 
 def cache_folder() -> Path:

@@ -47,9 +47,11 @@ def set_free(subdomain: Subdomain) -> FloatingSubdomain:
     """Return a subdomain with the ground of its soft supports as unknowns."""
     K = subdomain.stiffness
     R, energies = low_energy_modes(subdomain)
+    is_tangent = isinstance(subdomain.kernel, str) and subdomain.kernel == "translations"
+    if not (is_tangent or energies.any()):
+        return FloatingSubdomain(K, R, 0)
     tau, forces = float(K.diagonal().mean()), forces_of_motions(K, R)
     size = np.where(energies > 0.0, energies, np.linalg.norm(forces, axis=0))
-    is_tangent = isinstance(subdomain.kernel, str) and subdomain.kernel == "translations"
     soft = np.flatnonzero(size > ZERO * tau if is_tangent else energies)
     if not soft.size:
         return FloatingSubdomain(K, R, 0)

@@ -22,7 +22,11 @@ from fenics_tfeti.typing import Vector
 def nodal_stiffness(nodes: NodeMap, subdomains: Sequence[Subdomain]) -> Vector:
     """Return the sum of the diagonal entries (owned,) at each node [N/m]. Collective."""
     numbers = np.concatenate([np.zeros(0, dtype=np.int64), *(s.nodes for s in subdomains)])
-    diagonals = [s.stiffness.diagonal().reshape(s.nodes.size, -1).sum(axis=1) for s in subdomains]
+    matrices = {id(s.stiffness): s.stiffness for s in subdomains}
+    sums = {
+        key: K.diagonal().reshape(-1, nodes.components).sum(axis=1) for key, K in matrices.items()
+    }
+    diagonals = [sums[id(s.stiffness)] for s in subdomains]
     return nodes.reduce_at_owners(numbers, np.concatenate([np.zeros(0), *diagonals]))
 
 
