@@ -61,11 +61,19 @@ def _combinations(index: Numbers) -> float:
     return float(np.prod(index.max(axis=0) + 1.0))
 
 
+def cells_of_cube(nodes: float, dim: int) -> float:
+    """Return the number of cells of a cube with so many nodes.
+
+    It is that of the nodes that are left if each one on the sides counts for one of the cubes.
+    """
+    edge: float = nodes ** (1.0 / dim) - 1.0
+    return float(max(edge, 1.0) ** dim)
+
+
 def block_of_cells(grid: Grid, nodes: float) -> Numbers:
     """Cut a grid into equal blocks, nearly cubes of about so many nodes; label the cells (m,)."""
     dim = grid.cells.size
-    cells_of_block = max(nodes ** (1.0 / dim) - 1.0, 1.0) ** dim
-    blocks = max(np.prod(grid.cells) / cells_of_block, 1.0)
+    blocks = max(float(np.prod(grid.cells)) / cells_of_cube(nodes, dim), 1.0)
     edge = (np.prod(grid.lengths) / blocks) ** (1.0 / dim)
     counts = [
         _blocks_along(int(n), length / edge)

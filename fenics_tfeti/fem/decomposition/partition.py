@@ -15,7 +15,7 @@ from dolfinx.mesh import Mesh
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
 from fenics_tfeti.fem.decomposition.bodies import Bodies, components, groups
-from fenics_tfeti.fem.decomposition.grid import block_of_cells, find_grid
+from fenics_tfeti.fem.decomposition.grid import block_of_cells, cells_of_cube, find_grid
 from fenics_tfeti.fem.decomposition.parts import number_parts
 from fenics_tfeti.fem.decomposition.round_parts import cut_into_slabs, mean_aspect, rounded
 from fenics_tfeti.fem.topology import cell_vertices, owned_cells
@@ -51,45 +51,44 @@ def split_into_subdomains(
     cuts: dict[bytes, Numbers] = {}
     for body in number_parts(space, bodies_of_rank, range(len(bodies_of_rank)), x):
         cells = body.cells
-        count = round(block * body.nodes.size / unknowns)
-        if count <= 1:
+        if round(block * body.nodes.size / unknowns) <= 1:
             subdomains.append(cells)
             continue
-        count = round(body.nodes.size / _own_nodes(unknowns / block, space.mesh.topology.dim))
         graph = bodies.graph[cells][:, cells]
         label = cuts.get(body.shape) if body.shape is not None else None
         if label is None:
-            label = _cut(space.mesh, cells, graph, count, unknowns / block, partitioner)
+            size = body.nodes.size
+            label = _cut(space.mesh, cells, graph, size, unknowns / block, partitioner)
             if body.shape is not None:
                 cuts[body.shape] = label
         subdomains += [cells[group] for group in groups(label)]
     return subdomains
 
 
-def _own_nodes(nodes: float, dim: int) -> float:
-    """Return how many nodes are a cube's alone of those that it has, all on half of its sides."""
-    return max(nodes ** (1.0 / dim) - 1.0, 1.0) ** dim
-
-
 def _cut(
     domain: Mesh,
     cells: Indices,
     graph: sp.csr_matrix,
-    count: int,
+    size: int,
     nodes: float,
     partitioner: Partitioner,
 ) -> Numbers:
-    """Return the connected part of each cell, of so many parts or of so many nodes."""
+    """Return the connected part of each cell of a body with `size` nodes.
+
+    Parts have about so many nodes: blocks and slabs with the copies of nodes that they share, those
+    of SCOTCH, which may be of any shape, without.
+    """
     points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
-    count = min(count, cells.size)
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
     if grid is not None:
         return components(graph, block_of_cells(grid, nodes))[1]
+    count = min(round(size / nodes), cells.size)
     if partitioner == "scotch":
         return _by_scotch(graph, count)
     # by corners: faster than sums of short rows
     midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
-    slabs = cut_into_slabs(graph, midpoints, count)
+    cubes = min(round(size / cells_of_cube(nodes, points.shape[1])), cells.size)
+    slabs = cut_into_slabs(graph, midpoints, cubes)
     if partitioner == "slabs" or (aspect := mean_aspect(graph, midpoints, slabs)) < _ROUND:
         return slabs
     small = _by_scotch(graph, count)
