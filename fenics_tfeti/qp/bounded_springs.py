@@ -16,8 +16,7 @@ After Rockafellar, SIAM J. Control Optim. 14 (1976) 877-898, and Qi and Sun, Mat
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -110,6 +109,10 @@ def bounded_springs(
     feasible = _half_lines(S.shape[0]) if feasible is None else feasible
     squares = S**2 if isinstance(S, np.ndarray) else S.multiply(S)
     diagonal = sum_vectors(np.asarray(squares.sum(axis=0)).ravel())
+    if isinstance(S, np.ndarray):
+        # some rows of it are taken in each step
+        S = np.ascontiguousarray(S if basis is None else S @ basis)
+        T = sp.identity(S.shape[1], format="csr")
     problem = _Problem(
         S,
         T,
@@ -166,6 +169,7 @@ class _Problem:
     stiffest: float
     sum_vectors: Callable[[Vector], Vector]
     sum_matrices: Callable[[sp.csr_matrix], sp.csr_matrix]
+    last: list[Any] = field(default_factory=list)  # springs of a dense S that moved, their S'S
 
     def at(self, z: Vector) -> _Point:
         """Return the gradient at z. Collective."""
@@ -186,19 +190,17 @@ class _Problem:
         H[np.diag_indices_from(H)] += weight
         return -np.linalg.solve(H, point.gradient)
 
-    @cached_property
-    def _rows(self) -> Vector:
-        """ST of a dense S."""
-        return self.S @ self.T
-
     def _normal_matrix(self, D: sp.csr_matrix) -> Vector:
-        """Return T'S'DST of a dense S by the springs that D is not zero for."""
+        """Return S'DS of a dense S, by the springs that D is not zero for."""
         moved = np.flatnonzero(np.diff(D.indptr))
-        rows = self._rows[moved]
-        if moved.size == D.nnz and np.all(D.data == 1.0):
+        rows = self.S[moved]
+        if moved.size < D.nnz or np.any(D.data != 1.0):
+            return rows.T @ (D[moved][:, moved] @ rows)
+        # the same springs often move in the next step, too
+        if not self.last or not np.array_equal(self.last[0], moved):
             # half of the products of a symmetric matrix
-            return rows.T @ rows
-        return rows.T @ (D[moved][:, moved] @ rows)
+            self.last[:] = moved, rows.T @ rows
+        return self.last[1].copy()
 
 
 def _nearest(problem: _Problem, centre: Vector, weight: float) -> Vector:
