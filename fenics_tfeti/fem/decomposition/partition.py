@@ -75,8 +75,8 @@ def _cut(
 ) -> Numbers:
     """Return the connected part of each cell of a body with `size` nodes.
 
-    Parts have about so many nodes: blocks and slabs with the copies of nodes that they share, those
-    of SCOTCH, which may be of any shape, without.
+    Parts have about so many nodes: blocks, and slabs in space, with the copies of nodes that they
+    share, others without.
     """
     points, cell_nodes = domain.geometry.x[:, : domain.geometry.dim], cell_vertices(domain)[cells]
     grid = find_grid(points, cell_nodes) if partitioner == "auto" else None
@@ -87,8 +87,9 @@ def _cut(
         return _by_scotch(graph, count)
     # by corners: faster than sums of short rows
     midpoints = sum(points[corner] for corner in cell_nodes.T) / cell_nodes.shape[1]
-    cubes = min(round(size / cells_of_cube(nodes, points.shape[1])), cells.size)
-    slabs = cut_into_slabs(graph, midpoints, cubes)
+    # in two dimensions copies are few, and fewer in bodies that are cut along one axis
+    own = cells_of_cube(nodes, 3) if points.shape[1] == 3 else nodes
+    slabs = cut_into_slabs(graph, midpoints, min(round(size / own), cells.size))
     if partitioner == "slabs" or (aspect := mean_aspect(graph, midpoints, slabs)) < _ROUND:
         return slabs
     small = _by_scotch(graph, count)
