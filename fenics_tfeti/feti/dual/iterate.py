@@ -23,6 +23,7 @@ class SolveStatus(Enum):
     NOT_STARTED = "nothing was solved"
     SOLVED = "converged"
     STALLED = "the method makes no more progress, or its share of the products is spent"
+    INEXACT = "the method makes no more progress, but its solution is accurate enough"
     CENTRED = "a proximal problem is solved, the next one has its solution as centre"
     AT_ROUNDING = "rounding has ended the conjugate gradients"
     FLAT = (

@@ -25,11 +25,11 @@ from fenics_tfeti.feti.constraints.friction import SlipBound
 from fenics_tfeti.feti.dual.iterate import Iterate, SolveStatus
 from fenics_tfeti.feti.solution.outer import iterate_until_certified
 from fenics_tfeti.feti.solution.setup import SolveContext
-from fenics_tfeti.feti.solution.states import Candidate, Outcome, SlipBoundStep
+from fenics_tfeti.feti.solution.states import Outcome, SlipBoundStep
 from fenics_tfeti.feti.tolerances import CERTIFIED, ZERO
 from fenics_tfeti.parallel import any_rank
 from fenics_tfeti.qp import balls
-from fenics_tfeti.typing import Vector
+from fenics_tfeti.typing import Mask, Vector
 
 # largest tolerance of a solution, the first one's; that of others relative to the last change
 _FIRST_RTOL, _INEXACT = 1e-2, 0.05
@@ -117,7 +117,9 @@ class _FixedPoint:
         if any_rank(comm, limited):
             # these bounds may hold the load at the limit, where the motion is not unique
             radius = fixed_point._bounds(_AMPLE * feasible)
-        fixed_point.context = replace(context, data=replace(context.data, radius=radius))
+        # without bounds contact shares the load with soft supports: a better first active set
+        if any_rank(comm, radius) or not fixed_point._hold(radius):
+            fixed_point.context = replace(context, data=replace(context.data, radius=radius))
         return fixed_point
 
     def step(self) -> _Step:
@@ -125,15 +127,20 @@ class _FixedPoint:
         context, products = self.context, self.context.monitor.history.products
         before = products.total
         inner = replace(context, options=replace(context.options, rtol=self.rtol))
+        preliminary = bool(self.changes) and self.rtol > context.options.rtol
         outcome = iterate_until_certified(
-            inner, self.iterate, self._bounds if self.follows else None
+            inner,
+            self.iterate,
+            self._bounds if self.follows else None,
+            self._suffices if preliminary else None,
         )
         # another method has gone on from where projected gradients made no progress
         self.follows = self.follows and outcome.iterate.radius is not None
         data = replace(context.data, radius=outcome.candidate.radius)
         self.context = replace(context, data=data)
-        radius = self._bounds(outcome.candidate.multipliers)
-        change = self._error(outcome.candidate, radius)
+        candidate = outcome.candidate
+        radius = self._bounds(candidate.multipliers)
+        change = self._error(candidate.multipliers, candidate.recovered.face.sticking, radius)
         ratio = change / self.changes[-1] if self.changes and self.changes[-1] > 0.0 else None
         self.changes.append(change)
         context.monitor.tell(SlipBoundStep(products.total - before, change, ratio, self.rtol))
@@ -142,7 +149,7 @@ class _FixedPoint:
     def judge(self, step: _Step) -> tuple[SolveStatus, str] | None:
         """Return how the fixed point ends with a step; None if it goes on."""
         rtol, outcome = self.context.options.rtol, step.outcome
-        if not outcome.converged:
+        if not outcome.converged and outcome.status is not SolveStatus.INEXACT:
             number = len(self.changes)
             return outcome.status, f"{outcome.reason}; in step {number} of the slip bounds"
         if max(step.change, self.rtol) <= rtol:
@@ -232,13 +239,21 @@ class _FixedPoint:
         forces = np.where(starting[:, None], balls.on_boundary(slips, radius, starting), forces)
         return Iterate(friction.with_sites(multipliers, forces), slips=slips)
 
-    def _error(self, candidate: Candidate, radius: Vector) -> float:
+    def _suffices(self, iterate: Iterate) -> bool:
+        """Tell whether an iterate makes better bounds than those of the last step. Collective.
+
+        No accurate solution is needed with bounds that are still far from its own.
+        """
+        assert iterate.on_face is not None
+        radius, sticking = self._bounds(iterate.multipliers), iterate.on_face.face.sticking
+        return self._error(iterate.multipliers, sticking, radius) <= _RATIO * self.changes[-1]
+
+    def _error(self, multipliers: Vector, sticking: Mask, radius: Vector) -> float:
         """Return the excess of forces over bounds, the difference at slips, relative to bounds."""
         friction = self.context.setup.constraints.friction
-        force = np.linalg.norm(friction.at_sites(candidate.multipliers), axis=1)
+        force = np.linalg.norm(friction.at_sites(multipliers), axis=1)
         excess = force - radius
-        slipping = ~candidate.recovered.face.sticking
-        excess = friction.scale * np.where(slipping, np.abs(excess), np.maximum(excess, 0.0))
+        excess = friction.scale * np.where(sticking, np.maximum(excess, 0.0), np.abs(excess))
         limited = self.context.data.bound.limited
         bounds, forces = (friction.scale * limited(x) for x in (radius, force))
         error, bound, size = (self._dot(x, x) for x in (excess, bounds, forces))

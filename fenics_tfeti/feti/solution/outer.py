@@ -64,15 +64,20 @@ _BODIES = 2
 
 
 Bounds = Callable[[Vector], Vector]
+Suffices = Callable[[Iterate], bool]
 
 
 def iterate_until_certified(
-    context: SolveContext, start: Iterate | None, bounds: Bounds | None = None
+    context: SolveContext,
+    start: Iterate | None,
+    bounds: Bounds | None = None,
+    suffices: Suffices | None = None,
 ) -> Outcome:
     """Solve the dual problem to tolerances that decrease until the certificate holds.
 
     With `bounds`, the slip bounds (k,) that multipliers make, projected gradients go first, whose
-    bounds follow the forces.
+    bounds follow the forces. Where the active set method stalls, `suffices` tells whether its
+    iterate is accurate enough: then the outcome is INEXACT.
 
     Rigid motions that supports prescribe, and those that close the contacts which press at the
     start, are taken out, and put back in the end; of the latter once more without them where the
@@ -95,11 +100,11 @@ def iterate_until_certified(
         closed = replace(
             data, c=without_motion(coarse_space, data.c, closing), motion=motion + closing
         )
-        outcome = _with_shortened_gaps(context, closed, start, bounds)
+        outcome = _with_shortened_gaps(context, closed, start, bounds, suffices)
         if not _is_undone(coarse_space, closing, outcome.candidate.recovered.displacement):
             return outcome
         start = outcome.start
-    return _with_shortened_gaps(context, data, start, bounds)
+    return _with_shortened_gaps(context, data, start, bounds, suffices)
 
 
 def _is_undone(coarse_space: CoarseSpace, closing: Vector, displacement: Vector) -> bool:
@@ -114,7 +119,11 @@ def _is_undone(coarse_space: CoarseSpace, closing: Vector, displacement: Vector)
 
 
 def _with_shortened_gaps(
-    context: SolveContext, data: ContactData, start: Iterate | None, bounds: Bounds | None
+    context: SolveContext,
+    data: ContactData,
+    start: Iterate | None,
+    bounds: Bounds | None,
+    suffices: Suffices | None,
 ) -> Outcome:
     """Solve with gaps that are far from closing shortened; put motions back. Collective."""
     rows, comm = context.setup.constraints.inequality, context.setup.constraints.layout.comm
@@ -128,7 +137,8 @@ def _with_shortened_gaps(
             shortened &= ~data.springs.pulling
         c = data.c.copy()
         c[rows] = np.where(shortened, longest, data.c[rows])
-        loop = _Loop.begin(replace(context, data=replace(data, c=c)), shortened, feasible, bounds)
+        inner = replace(context, data=replace(data, c=c))
+        loop = _Loop.begin(inner, shortened, feasible, bounds, suffices)
         outcome = _iterate(loop, start)
         closed = bool((outcome.candidate.recovered.closed & shortened).any())
         if not comm.allreduce(closed, MPI.LOR) or interruption.agreed():
@@ -175,6 +185,8 @@ def _iterate(loop: _Loop, start: Iterate | None) -> Outcome:
         certificate = candidate.certificate
         if certificate.worst <= limit:
             return Outcome(candidate, iterate, SolveStatus.SOLVED, "converged", tolerance)
+        if iterate.status is SolveStatus.INEXACT:
+            return Outcome(candidate, iterate, iterate.status, iterate.status.value, tolerance)
         best.update(iterate, certificate)
         if iterate.status is SolveStatus.AT_ROUNDING:
             best.rounded = certificate.worst
@@ -262,6 +274,7 @@ class _Loop:
     d_0: Vector  # (m,) BK^+(f - B'lambda~) - c, printed d in (11.39), not deflated
     scale: EnergyScale  # the tolerances are relative to it
     bounds: Bounds | None  # slip bounds that multipliers make, if these follow them
+    suffices: Suffices | None  # whether an iterate that stalls is accurate enough
 
     @staticmethod
     def begin(
@@ -269,11 +282,12 @@ class _Loop:
         shortened: Mask,
         feasible: FeasibleState,
         bounds: Bounds | None = None,
+        suffices: Suffices | None = None,
     ) -> _Loop:
         """Compute d_0 and the scale."""
         certifier = Certifier(context.setup, context.data, context.body_names)
         scale = EnergyScale.of(context, feasible, shortened)
-        return _Loop(context, certifier, feasible.jumps - context.data.c, scale, bounds)
+        return _Loop(context, certifier, feasible.jumps - context.data.c, scale, bounds, suffices)
 
     def at_rest(self, multipliers: Vector) -> Outcome:
         """Return u = o, with multipliers that balance the load."""
@@ -318,11 +332,18 @@ class _Loop:
         while following is not None:
             method, begin, before = following, iterate, products.total
             iterate = self._run(method, begin, strategy)
+            if self._suffices(iterate):
+                return replace(iterate, status=SolveStatus.INEXACT)
             following = strategy.after(method, iterate.status, products.total - before)
             if iterate.status is SolveStatus.AT_ROUNDING and following is not None:
                 # rounding has spoilt it: the next method goes on from where this one began
                 iterate = replace(begin, status=iterate.status)
         return iterate
+
+    def _suffices(self, iterate: Iterate) -> bool:
+        """Tell whether the active set method has stalled where no better solution is needed."""
+        stalled = iterate.method is Method.ACTIVE_SET and iterate.status is SolveStatus.STALLED
+        return stalled and self.suffices is not None and self.suffices(iterate)
 
     def _run(self, method: Method, iterate: Iterate, strategy: Strategy) -> Iterate:
         """Run a method for its turn."""
