@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Any, TypeVar
 
 from fenics_tfeti.errors import InputError
-from fenics_tfeti.fem.decomposition.partition import Partitioner
+from fenics_tfeti.fem.decomposition.partition import SUBDOMAIN_SIZE, Partitioner
 from fenics_tfeti.fem.io.units import UnitSystem
 from fenics_tfeti.feti import TangentKind
 from fenics_tfeti.feti.options import Options, check_range, convert, refuse_unknown
@@ -47,7 +47,7 @@ class ContactOptions:
     """
 
     solver: Options = field(default_factory=Options)
-    subdomain_size: int = 3000
+    subdomain_size: int = SUBDOMAIN_SIZE
     partitioner: Partitioner = "auto"
     units: UnitSystem = "SI"
     damage_rtol: float = 1e-3

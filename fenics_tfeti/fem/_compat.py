@@ -9,7 +9,7 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -425,36 +425,82 @@ def _add() -> Any:
 
 
 def distributed_mesh(
-    comm: MPI.Comm, cells: Numbers, points: Vector, cell: str, degree: int = 1
+    comm: MPI.Comm,
+    cells: Numbers,
+    points: Vector,
+    cell: str,
+    degree: int = 1,
+    ranks: Numbers | None = None,
 ) -> dolfinx.mesh.Mesh:
     """Create a distributed mesh from each rank's share of cells (m, n) and points (k, gdim) [m].
+
+    Cells go to `ranks` (m,), by default to those that a graph partitioner chooses. Nodes of cells
+    are in the order of dolfinx; points are numbered through the ranks.
 
     - 0.5.2 has ``create_mesh(comm, cells, x, domain)`` and elements from ``ufl``;
     - 0.9 has ``create_mesh(comm, cells, x, e)``, 0.10 and 0.11 ``create_mesh(comm, cells, e, x)``,
       all with elements from ``basix.ufl``;
     - 0.5.2 builds the dual graph of the cells for the partitioner on one process, too, where later
       versions call none: a quarter to a third of the time. An array of cells it converts only
-      after an exception, whose message prints all arguments.
-
-    Nodes of cells are in the order of dolfinx; points are numbered through the ranks.
+      after an exception, whose message prints all arguments;
+    - 0.5.2 needs cells at the borders of ranks on both, and takes nodes there as different
+      otherwise.
     """
-    gdim = points.shape[1]
+    gdim, cells = points.shape[1], np.asarray(cells, dtype=np.int64)
     if "domain" in inspect.signature(mesh.create_mesh).parameters:
         shape = ufl.Cell(cell, geometric_dimension=gdim)
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", shape, degree))
-        one_process = {"partitioner": _to_one_process} if comm.size == 1 else {}
-        graph = cpp.graph.AdjacencyList_int64(np.asarray(cells, dtype=np.int64))
+        if comm.size == 1:
+            ranks = np.zeros(len(cells), dtype=np.int32)
+        partitioner = _sending_to(ranks, cells, cell)
         with compiling():
-            return mesh.create_mesh(comm, graph, points, domain=domain, **one_process)
+            graph = cpp.graph.AdjacencyList_int64(cells)
+            return mesh.create_mesh(comm, graph, points, domain=domain, **partitioner)
     import basix.ufl
 
     element = basix.ufl.element("Lagrange", cell, degree, shape=(gdim,))
-    return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element))
+    partitioner = _sending_to(ranks)
+    return mesh.create_mesh(comm, cells, x=points, e=ufl.Mesh(element), **partitioner)
 
 
-def _to_one_process(comm: MPI.Comm, size: int, dim: int, cells: Any, ghost_mode: Any) -> Any:
-    """Partition the cells of one process: a partitioner of 0.5.2."""
-    return cpp.graph.AdjacencyList_int32(np.zeros((cells.num_nodes, 1), dtype=np.int32))
+def _sending_to(
+    ranks: Numbers | None, cells: Numbers | None = None, cell: str = ""
+) -> dict[str, Callable[..., Any]]:
+    """Return the argument of ``create_mesh`` that sends this process' cells to some ranks.
+
+    With `cells` they are sent to the ranks of their neighbours, too, as ghosts. Partitioners of
+    0.5.2 take (comm, size, dim, cells, ghost_mode), those of later versions (comm, size,
+    cell_types, cells).
+    """
+    if ranks is None:
+        return {}
+    number, destination = np.arange(len(ranks)), np.asarray(ranks, dtype=np.int64)
+    if cells is not None:
+        ghost, rank = _ghosts(destination, cells, cell)
+        number, destination = np.append(number, ghost), np.append(destination, rank)
+    # the owner is the first of a cell
+    order = np.argsort(number, kind="stable")
+    ends = np.append(0, np.cumsum(np.bincount(number, minlength=len(ranks)))).astype(np.int32)
+    sent = cpp.graph.AdjacencyList_int32(destination[order].astype(np.int32), ends)
+    return {"partitioner": lambda *_: sent}
+
+
+def _ghosts(ranks: Numbers, cells: Numbers, cell: str) -> tuple[Numbers, Numbers]:
+    """Return cells with a facet in common with other ranks' cells, and these ranks."""
+    nodes = np.zeros((2, int(cells.max(initial=-1)) + 1), dtype=np.int64)
+    nodes[0] = ranks.max(initial=0)
+    np.minimum.at(nodes[0], cells, ranks[:, np.newaxis])
+    np.maximum.at(nodes[1], cells, ranks[:, np.newaxis])
+    facets = cells[:, np.array(reference_cell(cell).facets)]
+    at, _ = np.nonzero((nodes[0] < nodes[1])[facets].all(axis=2))
+    shared = np.sort(facets[(nodes[0] < nodes[1])[facets].all(axis=2)], axis=1)
+    order = np.lexsort(shared.T)
+    at, shared = at[order], shared[order]
+    both = np.flatnonzero((shared[1:] == shared[:-1]).all(axis=1))
+    pairs = np.concatenate([at[both], at[both + 1]]), np.concatenate([at[both + 1], at[both]])
+    rows = np.column_stack([pairs[0], ranks[pairs[1]]])[ranks[pairs[0]] != ranks[pairs[1]]]
+    cell_and_rank = np.unique(rows, axis=0)
+    return cell_and_rank[:, 0], cell_and_rank[:, 1]
 
 
 def gmsh_order(cell: str, nodes: int) -> Array:

@@ -152,13 +152,18 @@ def _bounding_boxes(
 
 def cell_graph(domain: Mesh) -> sp.csr_matrix:
     """Return the adjacency matrix of the cells that this rank owns, through common facets."""
-    owned = owned_cells(domain)
+    return adjacency(cell_facets(domain)[: owned_cells(domain)])
+
+
+def adjacency(facets: Indices | Numbers) -> sp.csr_matrix:
+    """Return the adjacency matrix of cells with facets (m, f), through common ones."""
+    owned = len(facets)
     # bisection takes the first of equal moves: neighbours are in the order of facets' numbers
-    facets = np.sort(cell_facets(domain)[:owned], axis=1)[:, ::-1]
-    flat, cell = facets.ravel(), np.repeat(np.arange(owned), facets.shape[1])
+    rows = np.sort(facets, axis=1)[:, ::-1]
+    flat, cell = rows.ravel(), np.repeat(np.arange(owned), rows.shape[1])
     inner = np.bincount(flat)[flat] == 2
     other = np.bincount(flat, cell)[flat] - cell
-    ends = np.append(0, np.cumsum(np.count_nonzero(inner.reshape(facets.shape), axis=1)))
+    ends = np.append(0, np.cumsum(np.count_nonzero(inner.reshape(rows.shape), axis=1)))
     neighbours, ones = other[inner].astype(np.int32), np.ones(int(ends[-1]), dtype=np.int8)
     return sp.csr_matrix((ones, neighbours, ends), shape=(owned, owned))
 

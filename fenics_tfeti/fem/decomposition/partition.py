@@ -26,6 +26,8 @@ logger = logging.getLogger(__name__)
 
 Partitioner = Literal["auto", "scotch", "slabs"]
 
+# unknowns of a subdomain by default
+SUBDOMAIN_SIZE = 3000
 # mean aspect of slabs that are round enough: no others are tried
 _ROUND = 1.2
 

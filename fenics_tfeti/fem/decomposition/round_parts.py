@@ -28,7 +28,7 @@ _ROUNDINGS, _EVEN = 10, 0.1
 # passes over the cells at interfaces: more make the interface of tetrahedra 1 % smaller
 _PASSES = 6
 # cells of a piece that is a subdomain of its own, relative to the mean of all parts
-_LARGE = 0.3
+LARGE = 0.3
 
 
 def cut_into_slabs(graph: sp.csr_matrix, midpoints: Vector, count: int) -> Numbers:
@@ -47,7 +47,7 @@ def _cut(
 ) -> None:
     """Label the parts of some cells, with at most so many cuts across each other."""
     if cuts > 0 and parts > 1.0:
-        along, length = _principal(x[cells])
+        along, length, _ = principal(x[cells])
         slabs, *others = _numbers_of_slabs(length, min(parts, cells.size))
     if cuts == 0 or parts <= 1.0 or slabs == 1:
         label[cells] = next(first)
@@ -57,8 +57,8 @@ def _cut(
         _cut(x, piece, float(np.prod(others)), cuts - 1, label, first)
 
 
-def _principal(x: Vector) -> tuple[Vector, Vector]:
-    """Return the coordinate along which points are spread most, and the edges (d,) of a box.
+def principal(x: Vector) -> tuple[Vector, Vector, Vector]:
+    """Return the coordinate along which points are spread most, the edges (d,) of a box, the axis.
 
     The box, with the longest edge first, has the variances of the points.
     """
@@ -67,8 +67,9 @@ def _principal(x: Vector) -> tuple[Vector, Vector]:
     variances, axes = np.linalg.eigh(covariance)
     own = np.diag(covariance)
     if own.max() >= _LONG_ENOUGH * variances[-1]:
-        return relative[:, np.argmax(own)], np.sqrt(12.0 * np.sort(own)[::-1])
-    return relative @ axes[:, -1], np.sqrt(12.0 * variances[::-1].clip(min=0.0))
+        first = int(np.argmax(own))
+        return relative[:, first], np.sqrt(12.0 * np.sort(own)[::-1]), np.eye(x.shape[1])[first]
+    return relative @ axes[:, -1], np.sqrt(12.0 * variances[::-1].clip(min=0.0)), axes[:, -1]
 
 
 def _numbers_of_slabs(length: Vector, parts: float) -> tuple[int, ...]:
@@ -188,7 +189,7 @@ def _connected(graph: sp.csr_matrix, label: Numbers, count: int) -> Numbers:
     joined, size = np.arange(number), np.bincount(piece)
     for small in np.argsort(size, kind="stable"):
         target = joined[small]
-        if size[target] >= _LARGE * label.size / count:
+        if size[target] >= LARGE * label.size / count:
             continue
         entries = slice(*facets.indptr[small : small + 2])
         neighbours = joined[facets.indices[entries]]

@@ -43,7 +43,7 @@ def read_msh(
 ) -> TaggedMesh:
     """Read a mesh and its physical groups from a Gmsh file.
 
-    Rank 0 reads the file, then dolfinx distributes the cells. Nodes at the same place are not
+    Rank 0 reads the file, then cells are distributed body by body. Nodes at the same place are not
     merged: bodies that touch stay separate bodies. Bodies that share nodes, as `fragment` of Gmsh
     makes them, are separated at the interfaces in `split`. Nodes of no cell are left out, with a
     warning in the log. Collective.

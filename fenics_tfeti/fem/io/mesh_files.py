@@ -41,7 +41,7 @@ def read_mesh(
     and so do sets of nodes: facets on the boundary that have all corners in one. Where a set of
     elements has the same name as a set of nodes, it counts. Sets of all cells are left out where
     there are others. Serendipity cells of 8 and 20 nodes get nodes in the middle of their faces
-    and of themselves. Rank 0 reads, then dolfinx distributes the cells, as for `read_msh`.
+    and of themselves. Rank 0 reads, then the cells are distributed body by body, as for `read_msh`.
     Collective.
 
     Parameters

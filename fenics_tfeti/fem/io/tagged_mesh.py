@@ -1,4 +1,4 @@
-"""Meshes with tagged cells and facets: all of one on rank 0, and distributed by dolfinx."""
+"""Meshes with tagged cells and facets: all of one on rank 0, and distributed body by body."""
 
 from __future__ import annotations
 
@@ -13,8 +13,16 @@ from dolfinx.mesh import Mesh, meshtags
 
 from fenics_tfeti.errors import InputError
 from fenics_tfeti.fem import _compat
+from fenics_tfeti.fem.decomposition.bodies import adjacency, components
+from fenics_tfeti.fem.decomposition.partition import SUBDOMAIN_SIZE
+from fenics_tfeti.fem.decomposition.rank_shares import share_among_ranks
 from fenics_tfeti.fem.geometry.reference_cells import ReferenceCell, reference_cell
-from fenics_tfeti.fem.topology import NO_TAG, cell_facets, distinct_rows, with_tag_names
+from fenics_tfeti.fem.topology import (
+    NO_TAG,
+    cell_facets,
+    distinct_rows,
+    with_tag_names,
+)
 from fenics_tfeti.typing import Array, Mask, Numbers, Vector
 
 
@@ -103,11 +111,28 @@ def tags_by_corners(
     return facet_tag, np.isin(given, found)
 
 
+def _rank_of_cells(whole: WholeMesh, ranks: int) -> Numbers | None:
+    """Return the rank that each cell goes to, body by body; None for one body."""
+    nodes, cells = whole.nodes, len(whole.nodes)
+    corners = nodes[:, : whole.kind.vertices]
+    facets = np.sort(corners[:, np.array(whole.kind.facets)], axis=2)
+    number = distinct_rows(facets.reshape(-1, facets.shape[2]))[1]
+    graph = adjacency(number.reshape(facets.shape[:2]))
+    if components(graph, whole.cell_tag)[0] == 1:
+        # which a graph partitioner cuts as well
+        return None
+    part = cells * SUBDOMAIN_SIZE / whole.x.size
+    return share_among_ranks(graph, whole.x[corners].mean(axis=1), whole.cell_tag, ranks, part)
+
+
 def distribute(comm: MPI.Intracomm, whole: WholeMesh | None) -> TaggedMesh:
     """Distribute a mesh that rank 0 has; it is None on other ranks. Collective."""
     empty = comm.bcast(None if whole is None else whole.without_cells())
     share = empty if whole is None else whole
-    mesh = _compat.distributed_mesh(comm, share.nodes, share.x, share.cell, share.degree)
+    ranks = _rank_of_cells(whole, comm.size) if whole is not None and comm.size > 1 else None
+    if comm.bcast(ranks is not None) and ranks is None:
+        ranks = np.zeros(0, dtype=np.int64)
+    mesh = _compat.distributed_mesh(comm, share.nodes, share.x, share.cell, share.degree, ranks)
     dim, cells_of_ranks = mesh.topology.dim, comm.gather(mesh.topology.original_cell_index) or []
     tags = [(share.cell_tag[cells], share.facet_tag[cells]) for cells in cells_of_ranks]
     cell_tag, tags_of_facets = comm.scatter(tags)
