@@ -40,8 +40,8 @@ _MAX_STEPS = 100
 _AMPLE = 2.0
 # the longest step of the fixed point; the shortest is its inverse
 _LONGEST = 10.0
-# ends of a solve after which no other method goes on
-_ENDS = SolveStatus.SOLVED, SolveStatus.INTERRUPTED, SolveStatus.OUT_OF_PRODUCTS
+# part of the products that are spent before bounds follow the forces
+_BEFORE = 0.2
 
 
 def iterate_slip_bounds(
@@ -126,7 +126,9 @@ class _FixedPoint:
         """Solve with the bounds, and find those that the normal forces make."""
         context, products = self.context, self.context.monitor.history.products
         before = products.total
-        inner = replace(context, options=replace(context.options, rtol=self.rtol))
+        limit = int((_BEFORE if self.may_follow else 1.0) * context.options.max_products)
+        options = replace(context.options, rtol=self.rtol, max_products=limit)
+        inner = replace(context, options=options)
         preliminary = bool(self.changes) and self.rtol > context.options.rtol
         outcome = iterate_until_certified(
             inner,
@@ -165,7 +167,8 @@ class _FixedPoint:
 
     def begin_to_follow(self, ended: SolveStatus) -> bool:
         """Let the bounds follow the forces after steps that have failed, if they may."""
-        if not self.may_follow or ended in _ENDS:
+        done = ended in (SolveStatus.SOLVED, SolveStatus.INTERRUPTED)
+        if done or not self.may_follow:
             return False
         self.follows, self.may_follow = True, False
         self.iterate, self.rtol = None, self.context.options.rtol
