@@ -81,7 +81,7 @@ def locking_ratios(type_: ReferenceCell, corners: Vector, K: Vector) -> Vector:
     """
     d, x = type_.dim, corners - corners.mean(axis=1, keepdims=True)
     # the linear displacements x_j e_i
-    linear = np.einsum("cvj,ki->cvkji", x, np.eye(d)).reshape(len(K), -1, d * d)
+    linear = np.einsum("cvj,ki->cvkji", x, np.eye(d)).reshape(*K.shape[:2], d * d)
     moduli, gradients = np.linalg.eigh(linear.transpose(0, 2, 1) @ K @ linear)
     dilatation = np.eye(d).ravel() / np.sqrt(d)
     locks = moduli[:, -2] > 0.0
