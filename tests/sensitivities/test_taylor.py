@@ -97,6 +97,7 @@ PARAMETERS = {
 FACTORS = {
     ("exact gaps, 3D, Coulomb", "coefficient"): 0.2,
     ("exact gaps, obstacle", "modulus"): 4.0,
+    ("law, bond", "law"): 4.0,
     ("law, obstacle", "law"): 20.0,
     ("law, rough", "gap"): 20.0,
 }
