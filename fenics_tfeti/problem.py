@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any, Literal
@@ -530,6 +530,24 @@ class ContactProblem(SteppedProblem[ContactReport]):
             return self.u
         return self._solve_exactly(self.gaps, solved, monitor, checkpoint)
 
+    def _passes(
+        self, coarse: list[SolvedContact] | None, monitor: MonitorFunction | None
+    ) -> tuple[Callable[..., SolvedContacts], list[ContactReport]]:
+        """Return what solves with conditions, and options, and the reports of its solves.
+
+        Only the first one starts from a coarse solution.
+        """
+        reports = list[ContactReport]()
+
+        def solve(contact_set: ContactSet, options: Options | None = None) -> SolvedContacts:
+            start = None if reports else coarse
+            self._solve_linearised(contact_set, start, monitor, options)
+            reports.append(self.report)
+            assert self._solved is not None
+            return self._solved
+
+        return solve, reports
+
     def _solve_rough(
         self,
         contact_set: ContactSet,
@@ -537,18 +555,11 @@ class ContactProblem(SteppedProblem[ContactReport]):
         monitor: MonitorFunction | None,
     ) -> Function:
         """Solve with the laws of rough contacts; an error leaves all as it was."""
-        products = list[int]()
-
-        def solve(linear: ContactSet) -> SolvedContacts:
-            start = None if products else coarse
-            self._solve_linearised(linear, start, monitor)
-            products.append(self.report.products["total"])
-            assert self._solved is not None
-            return self._solved
-
+        solve, reports = self._passes(coarse, monitor)
         with self._as_before_errors():
             solve_rough(contact_set, contact_set.at_conditions(self._accepted.force), solve)
-        self._report = replace(self.report, rough_products=tuple(products))
+        products = tuple(report.products["total"] for report in reports)
+        self._report = replace(self.report, rough_products=products)
         return self.u
 
     def _solve_adhesive(
@@ -558,19 +569,12 @@ class ContactProblem(SteppedProblem[ContactReport]):
         monitor: MonitorFunction | None,
     ) -> Function:
         """Solve with adhesion that ends; an error leaves all as it was."""
-        products = list[int]()
-
-        def solve(adhesive: ContactSet) -> SolvedContacts:
-            start = None if products else coarse
-            self._solve_linearised(adhesive, start, monitor)
-            products.append(self.report.products["total"])
-            assert self._solved is not None
-            return self._solved
-
+        solve, reports = self._passes(coarse, monitor)
         before = None if self._accepted.number == 0 else self._accepted.damage
         with self._as_before_errors():
             dissipated, failed = solve_adhesive(contact_set, before, solve)
-        entry = DamageEntry(dissipated, failed, [], 0, len(products), sum(products))
+        products = sum(report.products["total"] for report in reports)
+        entry = DamageEntry(dissipated, failed, [], 0, len(reports), products)
         self._report = replace(self.report, damage=entry)
         return self.u
 
@@ -581,16 +585,13 @@ class ContactProblem(SteppedProblem[ContactReport]):
         monitor: MonitorFunction | None,
     ) -> Function:
         """Walk to the present loads with the damage of bonds; an error leaves all as it was."""
-        reports = list[ContactReport]()
+        solve_pass, reports = self._passes(coarse, monitor)
 
         def solve(damage: Vector, misfit: float) -> Array:
-            start, options = None if reports else coarse, self.options.solver
+            options = self.options.solver
             rtol = max(options.rtol, min(_LOOSEST, _BESIDE_MISFIT * misfit))
-            options = replace(options, rtol=rtol)
-            self._solve_linearised(bonded.with_damage(damage), start, monitor, options)
-            reports.append(self.report)
-            assert self._solved is not None
-            return bonded.jumps(self._solved)
+            passed = solve_pass(bonded.with_damage(damage), replace(options, rtol=rtol))
+            return bonded.jumps(passed)
 
         dimension = self.space.mesh.topology.dim - 1
         with self._as_before_errors():

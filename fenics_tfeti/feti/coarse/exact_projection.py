@@ -169,9 +169,8 @@ class ExactProjection:
         state = evaluate(motion)
         for _ in range(_STEPS):
             size = state.error
-            if size <= _EXACT or (size <= _ROUNDING and size > 0.5 * last):
-                break
-            if state.pull > _UNBOUNDED:
+            rounded = size <= _ROUNDING and size > 0.5 * last
+            if size <= _EXACT or rounded or state.pull > _UNBOUNDED:
                 break
             last = size
             step = self._newton_step(state)
